@@ -93,7 +93,7 @@ def _place(error: float, *numbers: float) -> _Place:
     return _Place(1 - _exponent(error) + power, power)
 
 
-def written(value: float, error: float | None, *others: float) -> tuple[str, ...]:
+def write_values(value: float, error: float | None, *others: float) -> tuple[str, ...]:
     """Value, uncertainty and *others* on the scale of the value (ends of an interval), all to the
     uncertainty's second digit.
 
@@ -123,7 +123,7 @@ def written(value: float, error: float | None, *others: float) -> tuple[str, ...
 def two_digits(error: float, beside: float = 0.0) -> str:
     """An uncertainty by itself, with the power of ten of the value *beside* which it stands."""
     if error == 0.0 or not math.isfinite(error):
-        return written(0.0, error)[1]
+        return write_values(0.0, error)[1]
     return _place(error, beside).text(abs(error))
 
 
@@ -137,14 +137,14 @@ def per_cent(share: float) -> str:
     return f"{float(f'{100 * share:.2g}'):g} %"
 
 
-def counted(amount: int, what: str) -> str:
+def count_text(amount: int, what: str) -> str:
     """So many of *what*: '1 hit', '2 hits'."""
     return f"{amount} {what}{'s' if amount != 1 else ''}"
 
 
 def with_error(value: float, error: float | None, unit: str = "", sign: str = "±") -> str:
     """One text, value and uncertainty in *unit*: '134.4981 ± 0.0087 kN/m', '(1.234 ± 0.011)e-7'."""
-    value_text, error_text = written(value, error)
+    value_text, error_text = write_values(value, error)
     if error_text and "e" in error_text and error_text.partition("e")[2] == value_text.partition("e")[2]:
         mantissa, _, power = value_text.partition("e")
         joined = f"({mantissa} {sign} {error_text.partition('e')[0]})e{power}"

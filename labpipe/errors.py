@@ -13,7 +13,7 @@ from pathlib import PurePath
 ECHO = 80
 
 
-def cut(text: str, length: int = ECHO) -> str:
+def shorten(text: str, length: int = ECHO) -> str:
     """A text from a file as messages echo it: at most *length* characters."""
     return text if len(text) <= length else text[: length - 3] + "..."
 
@@ -36,7 +36,7 @@ class LabpipeError(Exception):
 
 
 @contextmanager
-def located(where: str | PurePath) -> Iterator[None]:
+def locate_errors(where: str | PurePath) -> Iterator[None]:
     """A LabpipeError from within says that it is at *where*, unless it says its own place."""
     try:
         yield

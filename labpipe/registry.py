@@ -27,10 +27,10 @@ def nearest(name: str, choices: Iterable[str]) -> str:
     """The hint for an unknown name: the nearest known name, or those that there are, up to a number."""
     names = [str(choice) for choice in choices]
     near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
-    return f"did you mean '{near[0]}'?" if near else f"known: {listed(names)}"
+    return f"did you mean '{near[0]}'?" if near else f"known: {list_names(names)}"
 
 
-def listed(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
     """Names in a message: the first MOST_LISTED, and how many more there are."""
     more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
     return (", ".join(names[:MOST_LISTED]) or "none") + more
@@ -41,7 +41,7 @@ SHIPPED = Path(__file__).with_name("entry_points.txt")
 
 
 @functools.cache
-def _shipped() -> Mapping[str, Mapping[str, str]]:
+def _shipped_groups() -> Mapping[str, Mapping[str, str]]:
     """Group -> name -> "module:attribute" of labpipe's own tables, read from their file: metadata of an
     earlier installation may lie beside it.
     """
@@ -77,7 +77,7 @@ def _may_add(place: str) -> bool:
 
 
 @functools.cache
-def _of_others() -> Mapping[str, Mapping[str, EntryPoint]]:
+def _groups_of_others() -> Mapping[str, Mapping[str, EntryPoint]]:
     """Group -> name -> entry of other packages.
 
     Cached, since it looks at every installed package. importlib.metadata takes as long to be imported as all
@@ -87,7 +87,7 @@ def _of_others() -> Mapping[str, Mapping[str, EntryPoint]]:
         return {}
     from importlib.metadata import entry_points
 
-    every, shipped = entry_points(), _shipped()
+    every, shipped = entry_points(), _shipped_groups()
     return {
         group: {
             entry.name: entry
@@ -120,11 +120,11 @@ class Registry:
 
     @property
     def _own_and_shipped(self) -> Mapping[str, str]:
-        return {**self._own, **_shipped().get(group_of(self.kind), {})}
+        return {**self._own, **_shipped_groups().get(group_of(self.kind), {})}
 
     @property
     def _of_others(self) -> Mapping[str, EntryPoint]:
-        return _of_others().get(group_of(self.kind), {})
+        return _groups_of_others().get(group_of(self.kind), {})
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""

@@ -20,9 +20,9 @@ TABLE = {"own": "math:pi"}
 def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of installed packages, looked at by the tables of this test alone."""
     monkeypatch.syspath_prepend(tmp_path)
-    registry._of_others.cache_clear()
+    registry._groups_of_others.cache_clear()
     yield tmp_path
-    registry._of_others.cache_clear()
+    registry._groups_of_others.cache_clear()
 
 
 def installed(folder: Path, package: str, group: str, entries: Sequence[str]) -> None:
@@ -66,7 +66,7 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     """Results write details in this order: with another one the same fit has other bytes on another
     worker.
     """
-    shipped = registry._shipped()["labpipe.fit_detail"]
+    shipped = registry._shipped_groups()["labpipe.fit_detail"]
     entries = [f"{name} = elsewhere:x" for name in ("theirs", *reversed(shipped))]
     installed(others, "theirs", "labpipe.fit_detail", entries)
     table = Registry("fit detail")

@@ -56,7 +56,7 @@ COLUMNS = tuple(
 
 
 @dataclass(frozen=True)
-class Part:
+class DatasetPart:
     """One file of a dataset and what its folders say of all its rows."""
 
     path: Path
@@ -74,7 +74,7 @@ def write_parts(results: Sequence[dataset.TestResult], output: OutputFolder) -> 
 
 
 def _write_part(rig: str, date: str, results: Sequence[dataset.TestResult], output: OutputFolder) -> str:
-    summary = entry_of(dataset.summed(dataset.summary_of(result) for result in results))
+    summary = entry_of(dataset.sum_summaries(dataset.summary_of(result) for result in results))
     contents = {"summary": json.loads(json.dumps(summary, default=plain))}
     header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents=contents)
     table = _table([row for result in results for row in result.rows])
@@ -90,10 +90,10 @@ def _write_part(rig: str, date: str, results: Sequence[dataset.TestResult], outp
     return name
 
 
-def read_summary(part: Part) -> dataset.DatasetSummary:
+def read_summary(part: DatasetPart) -> dataset.DatasetSummary:
     """What a part says of its tests as a whole; DamagedError for a file that is not as labpipe wrote it."""
     header = parquet.read_header(part.path, KIND)
-    with parquet.as_written(part.path):
+    with parquet.check_layout(part.path):
         summary: dataset.DatasetSummary = record_of(header.contents["summary"], dataset.DatasetSummary)
     return summary
 
@@ -125,16 +125,16 @@ def amount_of(text: str) -> tuple[float | None, str]:
         return None, ""
 
 
-def parts(folder: Path) -> list[Part]:
+def parts(folder: Path) -> list[DatasetPart]:
     """The parts of the dataset in a folder of results, by rig, date and name."""
     written = without_staging((folder / FOLDER).glob(f"rig=*/date=*/*{SUFFIX}"))
     return [
-        Part(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date="))
+        DatasetPart(path, unquote(path.parts[-3].removeprefix("rig=")), path.parts[-2].removeprefix("date="))
         for path in written
     ]
 
 
-def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
+def read_part(part: DatasetPart, columns: Collection[str] = COLUMNS) -> pa.Table:
     """The rows of a part, columns rig and date before the others; of its own *columns* only those, of
     conditions all.
 
@@ -144,7 +144,7 @@ def read_part(part: Part, columns: Collection[str] = COLUMNS) -> pa.Table:
     if header.parameters.get("schema") != SCHEMA:
         raise DataError(f"is not of schema {SCHEMA}", part.path, "read it with the version that wrote it")
     there = parquet.open_parquet(part.path).schema_arrow.names
-    with parquet.as_written(part.path):
+    with parquet.check_layout(part.path):
         if lacking := set(COLUMNS).difference(there):
             raise KeyError(min(lacking))
     chosen = [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]

@@ -63,7 +63,7 @@ SHORT = 10
 
 def commit(package: Path = Path(__file__).parent) -> str:
     """The first SHORT letters of the commit of the code in *package*, empty where nothing names it."""
-    return (of_checkout(package.parent / ".git") or _of_installation())[:SHORT]
+    return (checkout_commit(package.parent / ".git") or _installed_commit())[:SHORT]
 
 
 def version_text() -> str:
@@ -72,7 +72,7 @@ def version_text() -> str:
     return f"{__version__} (commit {known})" if known else __version__
 
 
-def of_checkout(git: Path) -> str:
+def checkout_commit(git: Path) -> str:
     """The commit that a checkout's folder *git* is at, read without git; empty where there is none."""
     try:
         head = (git / "HEAD").read_text("ascii").strip()
@@ -87,7 +87,7 @@ def of_checkout(git: Path) -> str:
     return next((line.split()[0] for line in packed if line.endswith(f" {reference}")), "")
 
 
-def _of_installation() -> str:
+def _installed_commit() -> str:
     """The commit that pip notes for what it installed from a repository (PEP 610)."""
     try:
         noted = distribution("labpipe").read_text("direct_url.json")

@@ -21,7 +21,7 @@ from labpipe.arrays import ComplexArray
 from labpipe.artefacts import json_file
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
-from labpipe.errors import DataError, cut
+from labpipe.errors import DataError, shorten
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
 from labpipe.records.identification import (
@@ -128,7 +128,7 @@ def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
         entries = json_file.read_digested(path, "file of fits")
         return [read_fit(entry) for entry in entries["fits"]], str(entries.get(json_file.DIGEST, ""))
     except json_file.BAD_ENTRY as error:
-        raise DamagedError(f"is not readable as fits ({cut(str(error))})", path, AGAIN) from None
+        raise DamagedError(f"is not readable as fits ({shorten(str(error))})", path, AGAIN) from None
 
 
 IDENTIFICATION_SCHEMA = "labpipe/identification/2"
@@ -182,8 +182,10 @@ def read_identification(path: Path) -> Identification:
         return _identification(_upgrade(entries))
     except json_file.BAD_ENTRY as error:
         # Same schema, other entries: written by another version, or edited by hand.
-        version = cut(str(entries.get("labpipe", "?")))
-        written = f"was written by labpipe {version}, or edited ({type(error).__name__}: {cut(str(error))})"
+        version = shorten(str(entries.get("labpipe", "?")))
+        written = (
+            f"was written by labpipe {version}, or edited ({type(error).__name__}: {shorten(str(error))})"
+        )
         raise DataError(written, path, "run `labpipe identify` again") from None
 
 
@@ -223,7 +225,7 @@ def _check_plain(entries: dict[str, Any]) -> None:
     for test in (*tests, *entries.get("responses", ()), *entries.get("spectra", ())):
         for condition in json_file.record_of(test["conditions"], Mapping[str, Any]).values():
             if not isinstance(condition, (str, int, float)):
-                raise TypeError(f"{cut(repr(condition))} is not a condition")
+                raise TypeError(f"{shorten(repr(condition))} is not a condition")
 
 
 def _identification(entries: dict[str, Any]) -> Identification:
@@ -328,7 +330,9 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         outputs=tuple(Port(**port) for port in entry["outputs"]),
         inputs=tuple(Port(**port) for port in entry["inputs"]),
         form=entry["form"],
-        covariance=None if variance is None else BlockCovariance.uncorrelated(np.array(variance, np.float64)),
+        covariance=None
+        if variance is None
+        else BlockCovariance.from_variance(np.array(variance, np.float64)),
         **optional,
         open_loop=json_file.record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
         snr_channels=tuple(entry["snr_channels"]),

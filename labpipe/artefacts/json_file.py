@@ -23,7 +23,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from labpipe.artefacts.digest import AGAIN, DamagedError, mismatch
-from labpipe.errors import cut
+from labpipe.errors import shorten
 from labpipe.quantities import parse_unit
 from labpipe.records.settings import Settings, settings_of
 
@@ -149,7 +149,7 @@ def _array(entry: Any, kind: Any) -> Any:
 def _scalar(entry: Any, kind: Any) -> Any:
     if kind is float:
         if isinstance(entry, bool) or not isinstance(entry, (int, float, types.NoneType)):
-            raise TypeError(f"{cut(repr(entry))} is not a number")
+            raise TypeError(f"{shorten(repr(entry))} is not a number")
         if entry is not None:
             # OverflowError for an integer that is larger than any number.
             float(entry)
@@ -157,7 +157,7 @@ def _scalar(entry: Any, kind: Any) -> Any:
     if kind in (str, bool, int):
         _need(entry, kind)
     if kind is int and abs(entry) >= LARGEST_COUNT:
-        raise OverflowError(f"{cut(str(entry))} is not a count")
+        raise OverflowError(f"{shorten(str(entry))} is not a count")
     if kind is str:
         # UnicodeEncodeError for half a letter, which no file or terminal takes.
         entry.encode()
@@ -166,7 +166,7 @@ def _scalar(entry: Any, kind: Any) -> Any:
 
 def _need(entry: Any, kind: type) -> Any:
     if not isinstance(entry, kind) or (kind is int and isinstance(entry, bool)):
-        raise TypeError(f"{cut(repr(entry))} is not a {kind.__name__}")
+        raise TypeError(f"{shorten(repr(entry))} is not a {kind.__name__}")
     return entry
 
 
@@ -225,7 +225,7 @@ def parse(content: bytes, path: Path, what: str) -> dict[str, Any]:
     except RecursionError:
         raise DamagedError(f"is not a readable {what} (nested too deeply)", path, AGAIN) from None
     except ValueError as error:
-        raise DamagedError(f"is not a readable {what} ({cut(str(error))})", path, AGAIN) from None
+        raise DamagedError(f"is not a readable {what} ({shorten(str(error))})", path, AGAIN) from None
     if not isinstance(entries, dict):
         raise DamagedError(f"is not a readable {what} (no JSON object)", path, AGAIN)
     return entries
@@ -238,10 +238,10 @@ NAMES_BEFORE = {"doubt": "uncertainty", "doubts": "uncertainties"}
 def json_value(text: str) -> Any:
     """The value of a JSON text, its entries under the names of this version; errors of json.loads."""
     old = any(f'"{name}"' in text for name in NAMES_BEFORE)
-    return json.loads(text, object_hook=_under_new_names if old else None)
+    return json.loads(text, object_hook=_rename_entries if old else None)
 
 
-def _under_new_names(entries: dict[str, Any]) -> dict[str, Any]:
+def _rename_entries(entries: dict[str, Any]) -> dict[str, Any]:
     return {NAMES_BEFORE.get(name, name): entry for name, entry in entries.items()}
 
 

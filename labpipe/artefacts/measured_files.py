@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, record_of
-from labpipe.artefacts.parquet import as_written, numpy_array, read_columns, read_header, write_columns
+from labpipe.artefacts.parquet import check_layout, numpy_array, read_columns, read_header, write_columns
 from labpipe.artefacts.recording_file import channel_entries, channels_of
 from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
@@ -117,7 +117,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
 def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
     header, columns = _read(path, "frf")
-    with as_written(path):
+    with check_layout(path):
         return _response_of(header, columns)
 
 
@@ -190,7 +190,7 @@ def _matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> FloatArray
 
 
 def _complex_matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> ComplexArray:
-    return _joined(*(_matrix(columns, pairs, suffix + part) for part in PARTS))
+    return _join(*(_matrix(columns, pairs, suffix + part) for part in PARTS))
 
 
 def _numbered_matrices(columns: Columns, pairs: list[list[str]], name: str, count: int) -> list[ComplexArray]:
@@ -199,10 +199,10 @@ def _numbered_matrices(columns: Columns, pairs: list[list[str]], name: str, coun
 
 
 def _values(columns: Columns, name: str) -> ComplexArray:
-    return _joined(*(columns[f"{name}:{part}"] for part in PARTS))
+    return _join(*(columns[f"{name}:{part}"] for part in PARTS))
 
 
-def _joined(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
+def _join(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
     values = np.empty(real.shape, np.complex128)
     # A sum re + 1j im would lose the sign of a zero.
     values.real, values.imag = real, imaginary
@@ -265,7 +265,7 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
 def read_spectra(path: Path) -> ChannelSpectra:
     """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
     header, columns = _read(path, "spectra")
-    with as_written(path):
+    with check_layout(path):
         return _spectra_of(header, columns)
 
 
@@ -328,7 +328,7 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
 def read_decays(path: Path) -> FreeDecays:
     """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
     header, columns = _read(path, "decay")
-    with as_written(path):
+    with check_layout(path):
         return _decay_of(header, columns)
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from labpipe.artefacts.dataset_file import FOLDER, SUFFIX
 from labpipe.artefacts.identification_file import NAME
-from labpipe.artefacts.places import Found, StorageError, below, get, naming, put, remove, status
+from labpipe.artefacts.places import Found, StorageError, get, list_below, naming, put, remove, status
 from labpipe.artefacts.writing import STAGING, is_remote, show
 from labpipe.errors import DataError, LabpipeError
 
@@ -37,7 +37,7 @@ def summary(name: str) -> bool:
 
 
 @contextmanager
-def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
+def read_results(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
     """A folder of this machine with the results below a place; messages of the block name the place.
 
     *place* may be an identification.json itself. DataError where there is nothing, StorageError where the
@@ -56,7 +56,7 @@ def results_read(place: Path, wanted: Wanted = summary) -> Iterator[Path]:
 
 
 @contextmanager
-def results_made(place: Path, wanted: Wanted = everything) -> Iterator[Path]:
+def make_results(place: Path, wanted: Wanted = everything) -> Iterator[Path]:
     """A folder of this machine in which the results of a place are made anew: what is *wanted* of the earlier
     ones lies in it.
 
@@ -79,7 +79,7 @@ def results_made(place: Path, wanted: Wanted = everything) -> Iterator[Path]:
 
 
 @contextmanager
-def results_kept(place: Path) -> Iterator[Mirror]:
+def keep_results(place: Path) -> Iterator[Mirror]:
     """The mirror of results that are added to for as long as the block lasts, with the summary of those that
     are there.
 
@@ -113,7 +113,7 @@ class Mirror:
         """Bring the objects whose names are wanted; their number. *named_only*: of the parts of a run's
         dataset those that the index names, and DataError where one is missing.
         """
-        here = {status.path.relative_to(self.place).as_posix(): status for status in below(self.place)}
+        here = {status.path.relative_to(self.place).as_posix(): status for status in list_below(self.place)}
         names = [name for name in here if wanted(name)]
         indices = [name for name in names if Path(name).name == NAME]
         self._get(indices, here)
@@ -127,11 +127,11 @@ class Mirror:
         names = {name: stamp for name, stamp in self._files() if self._same.get(name) != stamp}
         gone = [name for name in self._same if not (self.folder / name).exists()]
         reports = [name for name in (*names, *gone) if name.startswith(REPORT)]
-        _at_once(self._put, [name for name in names if name != NAME and name not in reports])
-        _at_once(self._remove, reports)
-        _at_once(self._put, [name for name in names if name == NAME])
-        _at_once(self._put, [name for name in reports if name in names])
-        _at_once(self._remove, [name for name in gone if name not in reports])
+        _do_together(self._put, [name for name in names if name != NAME and name not in reports])
+        _do_together(self._remove, reports)
+        _do_together(self._put, [name for name in names if name == NAME])
+        _do_together(self._put, [name for name in reports if name in names])
+        _do_together(self._remove, [name for name in gone if name not in reports])
         self._same = {**{name: stamp for name, stamp in self._same.items() if name not in gone}, **names}
 
     def forget(self) -> None:
@@ -171,7 +171,7 @@ class Mirror:
         yield from (name for name in there if name not in named)
 
     def _get(self, names: Sequence[str], objects: dict[str, Found]) -> None:
-        _at_once(lambda name: get(objects[name].path, self.folder / name), names)
+        _do_together(lambda name: get(objects[name].path, self.folder / name), names)
         for name in names:
             there = (self.folder / name).stat()
             self._same[name] = there.st_ino, there.st_mtime_ns
@@ -193,7 +193,7 @@ class _Itself(Mirror):
         """Nothing is to be done."""
 
 
-def _at_once(work: Callable[[str], None], names: Iterable[str]) -> None:
+def _do_together(work: Callable[[str], None], names: Iterable[str]) -> None:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = [pool.submit(work, name) for name in names]
         try:

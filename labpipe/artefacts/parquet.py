@@ -16,7 +16,7 @@ from labpipe.artefacts.digest import BLANK, DIGEST_KEY, DamagedError, parquet_di
 from labpipe.artefacts.header import Header, header_from_json
 from labpipe.artefacts.json_file import BAD_ENTRY
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError, cut
+from labpipe.errors import DataError, shorten
 
 # numpy arrays <-> pyarrow arrays, by their buffers: pyarrow's own conversions import pandas, a third of the
 # start of a command.
@@ -54,7 +54,7 @@ _FAULTS = (pa.ArrowException, OSError, MemoryError, ValueError, OverflowError, T
 
 
 @contextmanager
-def _in_plain_words(path: Path) -> Iterator[None]:
+def _reword_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except DataError:
@@ -72,7 +72,7 @@ def _in_plain_words(path: Path) -> Iterator[None]:
 
 def open_parquet(path: Path) -> pq.ParquetFile:
     """A Parquet file opened for reading; DataError in plain words when it is none."""
-    with _in_plain_words(path):
+    with _reword_errors(path):
         return pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True)
 
 
@@ -81,13 +81,13 @@ def batches(path: Path, columns: Sequence[str], n_row: int) -> Iterator[pa.Recor
     next ones ahead.
     """
     file = open_parquet(path)
-    with _in_plain_words(path):
+    with _reword_errors(path):
         for group in range(file.num_row_groups):
             yield from file.iter_batches(batch_size=n_row, row_groups=[group], columns=list(columns))
 
 
 @contextmanager
-def as_written(path: Path) -> Iterator[None]:
+def check_layout(path: Path) -> Iterator[None]:
     """DamagedError where header or columns are not those of the artefact: only a file without a digest gets
     so far.
     """
@@ -97,13 +97,13 @@ def as_written(path: Path) -> Iterator[None]:
         if isinstance(error, DataError):
             raise
         raise DamagedError(
-            f"is not as labpipe writes it ({type(error).__name__}: {cut(str(error))})", path
+            f"is not as labpipe writes it ({type(error).__name__}: {shorten(str(error))})", path
         ) from None
 
 
 def read_columns(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """The columns of these names, or all; DataError in plain words for damaged pages."""
-    with _in_plain_words(path):
+    with _reword_errors(path):
         return open_parquet(path).read(columns=None if columns is None else list(columns))
 
 
@@ -133,7 +133,7 @@ def header_of(path: Path) -> Header:
 
 def read_header(path: Path, kind: str) -> Header:
     """The header, of any kind for ""; DataError without one, DamagedError for content of another digest."""
-    with _in_plain_words(path):
+    with _reword_errors(path):
         digest = parquet_digest(path)
     metadata = open_parquet(path).metadata.metadata or {}
     if HEADER_KEY not in metadata:

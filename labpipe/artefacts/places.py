@@ -88,7 +88,7 @@ def status(path: Path) -> Found | None:
     return None
 
 
-def below(path: Path) -> list[Found]:
+def list_below(path: Path) -> list[Found]:
     """All objects whose names begin with that of a folder, sorted by name; none where there is nothing."""
     with _with_place(path):
         infos = _listing(path, recursive=True)

@@ -97,7 +97,7 @@ def output_folder(
 def staging_folder(home: Path) -> Iterator[Path]:
     """A hidden folder in *home*, removed at the end in every case, as are those of killed runs."""
     _remove_abandoned(home)
-    staging = home / f"{_of_this_machine()}{os.getpid()}-{os.urandom(8).hex()}"
+    staging = home / f"{_staging_prefix()}{os.getpid()}-{os.urandom(8).hex()}"
     # An interruption as soon as the folder is there finds it removed as well.
     try:
         staging.mkdir(mode=0o700)
@@ -108,7 +108,7 @@ def staging_folder(home: Path) -> Iterator[Path]:
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def _of_this_machine() -> str:
+def _staging_prefix() -> str:
     """How the names of this machine's staging folders begin."""
     # Only where something is written: --help starts in less time without it.
     import socket
@@ -118,7 +118,7 @@ def _of_this_machine() -> str:
 
 def _remove_abandoned(home: Path) -> None:
     """Remove the staging folders of this machine's processes that are no more: nobody holds their locks."""
-    for staging in home.glob(f"{_of_this_machine()}*"):
+    for staging in home.glob(f"{_staging_prefix()}*"):
         try:
             with (staging / LOCK).open("r+") as lock:
                 abandoned = _take_lock(lock)
@@ -144,7 +144,7 @@ def _runs(name: str) -> bool:
 
 
 @contextmanager
-def only_one(path: Path) -> Iterator[None]:
+def hold_lock(path: Path) -> Iterator[None]:
     """Hold a lock file, as long as the process lives; DataError where another process holds it."""
     with path.open("w") as lock:
         if fcntl is not None and not _take_lock(lock):

@@ -150,7 +150,7 @@ class BearingKind:
     mount: Callable[[Any], Bearing] | None = None
     dynamic: Callable[[Any, FloatArray], ComplexArray] | None = None
 
-    def mounted(self, settings: Any) -> Bearing:
+    def make(self, settings: Any) -> Bearing:
         """The bearing of a rotor file's entry."""
         return MountedBearing(self, settings) if self.mount is None else self.mount(settings)
 
@@ -179,7 +179,7 @@ def frequency_hz(point: OperatingPoint) -> float:
     return point.frequency / (2 * np.pi)
 
 
-def not_on_rotor(entry: str) -> ConfigError:
+def entry_of_rotor_error(entry: str) -> ConfigError:
     """The fault of an entry of a rotor's bearing that follows from the rotor."""
     return SettingError(entry.partition(".")[0], f"{entry}: follows from the rotor", "leave it out")
 

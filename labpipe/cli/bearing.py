@@ -24,7 +24,7 @@ from labpipe.project.bearing import (
     write_bearing,
     write_sweep,
 )
-from labpipe.project.bearing_file import BearingFile, Sweep, open_bearing, parse_sweep
+from labpipe.project.bearing_file import BearingFile, BearingSweep, open_bearing, parse_sweep
 
 # Share of sqrt(K_ii K_jj) below which a coefficient is zero by structure, up to rounding.
 STRUCTURAL_ZERO = 1e-9
@@ -134,7 +134,7 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     echo(for_terminal(f"over one ball passage the direct stiffness varies: {ranges}"))
 
 
-def echo_sweep(name: str, sweep: Sweep, cases: Sequence[BearingCoefficients]) -> None:
+def echo_sweep(name: str, sweep: BearingSweep, cases: Sequence[BearingCoefficients]) -> None:
     """The direct stiffness over the sweep, shortened in the middle; the table on disk is complete."""
     dofs = cases[0].dofs
     echo(f"{name}: direct stiffness over {sweep.label}, {len(cases)} values")

@@ -14,7 +14,7 @@ import click
 from labpipe import __version__
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
-from labpipe.artefacts.mirrored import everything, results_read
+from labpipe.artefacts.mirrored import everything, read_results
 from labpipe.artefacts.writing import is_remote, output_folder, show
 from labpipe.cli import options
 from labpipe.cli.many import manner
@@ -35,7 +35,7 @@ from labpipe.project.signing import (
     signatures,
     signed_files,
 )
-from labpipe.project.verification import Verified, differences, pipeline_folder, verified
+from labpipe.project.verification import Verified, differences, pipeline_folder, verify_artefacts
 
 
 @click.command()
@@ -211,7 +211,7 @@ def verify(
         return 1 if unsigned else code
     if again and pipeline_path is None:
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
-    with results_read(folder, everything) as here:
+    with read_results(folder, everything) as here:
         code = _verify_folder(here, show(folder), pipeline_path, how)
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
@@ -264,7 +264,7 @@ class Manners:
 
 
 def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
-    artefacts = list(verified(here, None if pipeline_path is None else pipeline_path.parent))
+    artefacts = list(verify_artefacts(here, None if pipeline_path is None else pipeline_path.parent))
     for artefact in artefacts:
         _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
     faults = sum(bool(artefact.faults) for artefact in artefacts)

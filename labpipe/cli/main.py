@@ -12,7 +12,7 @@ from click.shell_completion import get_completion_class
 
 from labpipe import __version__
 from labpipe.cli.output import echo, message_line
-from labpipe.errors import ConfigErrors, LabpipeError, cut
+from labpipe.errors import ConfigErrors, LabpipeError, shorten
 from labpipe.registry import Registry, nearest
 
 # Matrices are small: one thread is faster, and results do not depend on the number of processors.
@@ -189,7 +189,7 @@ def _own_fault(error: Exception) -> int:
             pass
     echo(text, err=True, nl=False)
     words = "; ".join((f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())))
-    what = f"error: this is a fault of labpipe, not of your files ({cut(words, 200)})"
+    what = f"error: this is a fault of labpipe, not of your files ({shorten(words, 200)})"
     echo(message_line(f"{what}; please report it with {place}"), err=True)
     return 3
 

@@ -18,7 +18,7 @@ from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 
 
-class _Address(click.Path):
+class _PathType(click.Path):
     def __init__(self, *, elsewhere: bool) -> None:
         super().__init__(path_type=Path)
         self.elsewhere = elsewhere
@@ -30,7 +30,7 @@ class _Address(click.Path):
         return path
 
 
-PATH, PLACE = _Address(elsewhere=False), _Address(elsewhere=True)
+PATH, PLACE = _PathType(elsewhere=False), _PathType(elsewhere=True)
 COUNT = click.IntRange(min=0)
 Command = Callable[..., Any]
 

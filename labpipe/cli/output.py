@@ -82,10 +82,10 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
 
 def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
     """A value, its standard error and its unit: *shown*, or else the one that suits them."""
-    from labpipe.display import difference_in, shown_unit, unit_label, written
+    from labpipe.display import difference_in, shown_unit, unit_label, write_values
     from labpipe.quantities import to_display
 
     shown = shown or shown_unit(unit, value, std_error)
     error = None if std_error is None else difference_in(std_error, shown)
-    number, uncertainty = written(to_display(value, shown), error)
+    number, uncertainty = write_values(to_display(value, shown), error)
     return number, uncertainty, unit_label(shown)

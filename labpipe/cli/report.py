@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
-from labpipe.artefacts.mirrored import results_read, summary
+from labpipe.artefacts.mirrored import read_results, summary
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
@@ -63,7 +63,7 @@ def report(
     wanted = (lambda name: summary(name) or name in files_of_test(test)) if test else summary
     with ExitStack() as stack:
         stack.enter_context(shared_out(jobs))
-        heres = [stack.enter_context(results_read(place, wanted)) for place in results]
+        heres = [stack.enter_context(read_results(place, wanted)) for place in results]
         paths = result_files(heres)
         tell = options.teller(quiet, verbose)
         identifications = []

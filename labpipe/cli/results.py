@@ -9,18 +9,18 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.identification_file import NAME, read_identification
-from labpipe.artefacts.mirrored import results_read
+from labpipe.artefacts.mirrored import read_results
 from labpipe.artefacts.writing import show as shown_path, write_rows
 from labpipe.cli import options
 from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
-from labpipe.display import chance_text, difference_in, shown_unit, unit_label, with_error, written
-from labpipe.errors import ConfigError, DataError, cut
+from labpipe.display import chance_text, difference_in, shown_unit, unit_label, with_error, write_values
+from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
-from labpipe.registry import listed, nearest
+from labpipe.registry import list_names, nearest
 
 
 @click.command(name="list")
@@ -43,7 +43,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
         if criteria.parameter or criteria.fit or criteria.test
         else catalogue_search.found_results
     )
-    with results_read(folder) as here:
+    with read_results(folder) as here:
         rows: Sequence[ValueRow | ResultRow] = find(here, criteria)
     if table is not None:
         write_rows(table, [row_entry(row) for row in rows])
@@ -119,13 +119,13 @@ def trend(
     if output is not None:
         format_of(output)
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
-    with results_read(folder) as here:
+    with read_results(folder) as here:
         rows = catalogue_search.found_values(here, criteria)
         paths = [] if output is None else sorted({row.path for row in rows})
         results = {path: read_identification(here / path) for path in paths}
     all_series = catalogue_search.trends(rows, over)
-    for row in catalogue_search.undated(rows) if over == DATE else ():
-        what = f"test '{row.test}': '{cut(row.date)}' is not a date; write it as 2026-11-03"
+    for row in catalogue_search.undated_rows(rows) if over == DATE else ():
+        what = f"test '{row.test}': '{shorten(row.date)}' is not a date; write it as 2026-11-03"
         echo(f"warning: {row.path}: {what}", err=True)
     selected = [row for series in all_series for row in series.rows]
     if not selected:
@@ -134,7 +134,7 @@ def trend(
         _echo_series(series)
     for dated in dict.fromkeys(row.dated for row in selected if row.dated) if over == DATE else ():
         names = dict.fromkeys(name_of(row.path) for row in selected if row.dated == dated)
-        echo(f"note: {listed(list(names))}: without a condition `date`, dated by {dated}", err=True)
+        echo(f"note: {list_names(list(names))}: without a condition `date`, dated by {dated}", err=True)
     if table is not None:
         write_rows(table, [row_entry(row) for row in selected])
     if output is not None:
@@ -144,7 +144,7 @@ def trend(
         echo(f"written: {output}", err=True)
 
 
-def _echo_series(series: catalogue_search.Series) -> None:
+def _echo_series(series: catalogue_search.ParameterSeries) -> None:
     echo(f"{series.parameter} of {series.fit} over {series.over}")
     # Over conditions other than time, values are expected to differ.
     outside = set(map(id, series.outside)) if series.over == DATE else set()
@@ -158,18 +158,20 @@ def _echo_series(series: catalogue_search.Series) -> None:
     header = (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", "")
     echo_table(header, rows, right=(1, 2))
     if series.copies:
-        which = listed(list(dict.fromkeys(f"{row.label} of {name_of(row.path)}" for row in series.copies)))
+        which = list_names(
+            list(dict.fromkeys(f"{row.label} of {name_of(row.path)}" for row in series.copies))
+        )
         echo(f"  left out, since a recording counts once: {which}")
     echo(f"  {_slope(series)}")
     if series.over == DATE:
         echo(f"  {_control(series)}")
 
 
-def _unit(series: catalogue_search.Series) -> str:
+def _unit(series: catalogue_search.ParameterSeries) -> str:
     return readable_unit(series.unit, (row.value for row in series.rows))
 
 
-def _slope(series: catalogue_search.Series) -> str:
+def _slope(series: catalogue_search.ParameterSeries) -> str:
     line = series.line
     if line is None:
         return (
@@ -186,13 +188,13 @@ def _slope(series: catalogue_search.Series) -> str:
     return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 
-def _control(series: catalogue_search.Series) -> str:
+def _control(series: catalogue_search.ParameterSeries) -> str:
     limits = series.limits
     if limits is None:
         return "fewer than three values give no control limits"
     unit = _unit(series)
     centre, *ends = (to_display(value, unit) for value in (limits.centre, limits.low, limits.high))
-    _, _, low, high = written(centre, difference_in(limits.rounding, unit), *ends)
+    _, _, low, high = write_values(centre, difference_in(limits.rounding, unit), *ends)
     beyond = ", ".join(row.label for row in series.outside) or "none"
     return f"control limits {f'{low} to {high} {unit_label(unit)}'.rstrip()}: beyond {beyond}"
 
@@ -237,7 +239,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
 
 def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:
     """The parameters of a result, and the digests of the files behind it."""
-    with results_read(path) as here:
+    with read_results(path) as here:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)
         if identification.dataset is not None:
@@ -249,7 +251,7 @@ def _cells(pair: catalogue_search.Difference) -> tuple[str, ...]:
     unit = shown_unit(pair.unit, pair.first, pair.second)
     error = None if pair.std_error is None else difference_in(pair.std_error, unit)
     change = difference_in(pair.second - pair.first, unit)
-    difference, uncertainty, first, second = written(
+    difference, uncertainty, first, second = write_values(
         change, error, *(to_display(value, unit) for value in (pair.first, pair.second))
     )
     p_value = "" if pair.p_value is None else chance_text(pair.p_value).removeprefix("p ").removeprefix("= ")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
-from labpipe.artefacts.mirrored import results_kept, results_made
-from labpipe.artefacts.writing import is_remote, only_one, show
+from labpipe.artefacts.mirrored import keep_results, make_results
+from labpipe.artefacts.writing import hold_lock, is_remote, show
 from labpipe.cli import options
 from labpipe.cli.many import check_shared, echo_failed, executor, manner
 from labpipe.cli.output import echo
@@ -23,7 +23,7 @@ from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.run import Manner, independent_fits, run as run_pipeline, run_only
-from labpipe.project.run_record import recorded
+from labpipe.project.run_record import record_run
 from labpipe.project.watch import Watch, WatchSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.identification import RuleOutcome
@@ -61,13 +61,13 @@ def run(
     check_shared(output, cluster)
     if only:
         pipeline = load_pipeline(pipeline_path, overrides)
-        with results_made(output, lambda name: name in files_of_test(only)) as here:
+        with make_results(output, lambda name: name in files_of_test(only)) as here:
             done = run_only(pipeline, here, only, how)
         echo_failed([done.failed] if done.failed else [])
         return 2 if done.failed else 0
-    with recorded(output, pipeline_path) as made:
+    with record_run(output, pipeline_path) as made:
         pipeline = load_pipeline(pipeline_path, overrides)
-        with results_made(output) as here:
+        with make_results(output) as here:
             with options.results_folder(here) as folder:
                 identification = run_pipeline(pipeline, folder, how)
                 outdate_reports(folder, pipeline.report.formats)
@@ -147,7 +147,7 @@ def outcomes_of(
     how = Manner(options.teller(quiet, verbose))
     with tempfile.TemporaryDirectory() as scratch:
         place = output / path.stem if output else Path(scratch) / "out"
-        with results_made(place) as here, options.results_folder(here) as folder:
+        with make_results(place) as here, options.results_folder(here) as folder:
             identification = run_pipeline(pipeline, folder, how)
     for failure in identification.failed:
         raise DataError(failure.message)
@@ -244,7 +244,7 @@ def watch(
         what = "--log: is needed where the results are elsewhere"
         raise ConfigError(what, show(output), "name a folder of this machine")
     log_folder.mkdir(parents=True, exist_ok=True)
-    with only_one(log_folder / LOCK), options.asked_to_stop() as asked, results_kept(output) as mirror:
+    with hold_lock(log_folder / LOCK), options.asked_to_stop() as asked, keep_results(output) as mirror:
         watched = Watch(
             pipeline,
             per_file,

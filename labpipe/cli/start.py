@@ -38,7 +38,7 @@ _SAMPLE = re.compile(r"\.\./sample_data/([\w.-]+)/")
 _VIRTUAL = re.compile(r"\.\./configs/([\w.-]+)\.yaml")
 
 
-def shipped() -> Path:
+def shipped_folder() -> Path:
     """Where pipelines and sample data are: in the checkout, or beside the package; ConfigError if nowhere."""
     for root in (Path(__file__).parents[2], Path(sys.prefix) / "share/labpipe"):
         if (root / "pipelines").is_dir() and (root / "sample_data").is_dir():
@@ -50,7 +50,7 @@ def shipped() -> Path:
 def examples() -> dict[str, list[Path]]:
     """The pipelines of every rig by the rig's name."""
     by_rig: dict[str, list[Path]] = {}
-    for path in sorted((shipped() / "pipelines").glob("*.yaml")):
+    for path in sorted((shipped_folder() / "pipelines").glob("*.yaml")):
         text = path.read_text(encoding="utf-8")
         named = _SAMPLE.search(text) or _VIRTUAL.search(text)
         by_rig.setdefault((named[1] if named else path.stem), []).append(path)
@@ -102,7 +102,7 @@ def _example(name: str, folder: Path, output: OutputFolder) -> Path:
     found = examples()
     if name not in found:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, found))
-    root = shipped()
+    root = shipped_folder()
     files = [*found[name], *(path for path in (root / "configs").rglob("*") if path.is_file())]
     texts = [pipeline.read_text(encoding="utf-8") for pipeline in found[name]]
     for sample in sorted({sample for text in texts for sample in _SAMPLE.findall(text)}):

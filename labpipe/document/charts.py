@@ -203,7 +203,7 @@ def chart_canvas(chart: Chart, canvases: dict[Frame, Canvas] | None = None) -> C
     with style(grid=not has_cells):
         canvas = Canvas(figsize=chart.size)
         if canvases is not None and not has_cells and not has_names and chart.columns == 1:
-            canvas = _without_contents(canvases.setdefault(_frame(chart), canvas))
+            canvas = _drop_contents(canvases.setdefault(_frame(chart), canvas))
         canvas.set_layout_engine("constrained")
         drawn = canvas.axes or _panels(canvas, chart)
         handles: dict[int, Artist] = {}
@@ -231,7 +231,7 @@ def _frame(chart: Chart) -> Frame:
     return chart.size, tuple(chart.heights), chart.shared, *panels
 
 
-def _without_contents(canvas: Canvas) -> Canvas:
+def _drop_contents(canvas: Canvas) -> Canvas:
     around = [*canvas.legends, *(legend for axes in canvas.axes if (legend := axes.get_legend()))]
     inside = [(axes.lines, axes.patches, axes.collections, axes.texts) for axes in canvas.axes]
     for artist in (*around, *(artist for kinds in inside for kind in kinds for artist in list(kind))):
@@ -541,22 +541,22 @@ def plot(result: Any) -> Canvas:
     raise TypeError(f"no figure of {type(result).__name__}; known: {kinds}")
 
 
-def _of_identification(identification: Identification) -> list[Figure]:
+def _figures_of_identification(identification: Identification) -> list[Figure]:
     first, *others = map(_figures, build(identification).sections)
     whole = [figure for figure in first if isinstance(figure.graphic, Chart) and figure.graphic.rows > 1]
     return [*whole, *(figure for figures in others for figure in figures)]
 
 
-def _of_fits(fits: Sequence[Fit]) -> list[Figure]:
+def _figures_of_fits(fits: Sequence[Fit]) -> list[Figure]:
     return sliding_figures(fits) if len(fits) > 1 else [figure for fit in fits for figure in fit_figures(fit)]
 
 
 FIGURES: dict[type, Callable[[Any], list[Figure]]] = {
     Fit: fit_figures,
-    tuple: _of_fits,
-    list: _of_fits,
+    tuple: _figures_of_fits,
+    list: _figures_of_fits,
     FrequencyResponse: lambda response: [response_figure(response)],
     # Those that need no response: those of pairs of FRFs stand in the report of their identification.
     Comparison: lambda comparison: comparison_figures(comparison, ()),
-    Identification: _of_identification,
+    Identification: _figures_of_identification,
 }

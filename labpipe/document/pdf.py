@@ -62,7 +62,7 @@ ROOM = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} {}"></svg>'
 
 
 @dataclass(frozen=True)
-class _Place:
+class _DrawingPlace:
     """Where a drawing goes: *page* from 0, its lower left corner [pt] and its *scale* [1]."""
 
     page: int
@@ -77,7 +77,7 @@ class _Pages(FPDF):
         self._foot = document.title
         self.figures = 0
         # Where the drawings go, those that nobody draws yet, and what gives the files of the others.
-        self.places: list[_Place] = []
+        self.places: list[_DrawingPlace] = []
         self.waiting: list[Graphic] = []
         self.files: list[Callable[[], bytes]] = []
         self.pool: Executor | None = None
@@ -199,11 +199,11 @@ def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
         _text(pages, section.heading, 12, bold=True)
         pages.line(20, pages.get_y(), 190, pages.get_y())
         pages.ln(2)
-        for block in _in_pairs(section.blocks) if many else section.blocks:
+        for block in _pair_figures(section.blocks) if many else section.blocks:
             _put(pages, block)
 
 
-def _in_pairs(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
+def _pair_figures(blocks: Sequence[Block]) -> Iterator[Block | tuple[Figure, Figure]]:
     left = list(blocks)
     while left:
         first, second = left[0], left[1] if len(left) > 1 else None
@@ -234,7 +234,7 @@ def _with_drawings(pages: _Pages) -> bytes:
     return written.getvalue()
 
 
-def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _Place, name: str) -> None:
+def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _DrawingPlace, name: str) -> None:
     """Lay a page of drawings onto a *page*: as a form of that *name*, its content as it is."""
     form = DecodedStreamObject()
     contents = drawing.get_contents()
@@ -245,17 +245,17 @@ def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _Place
     resources = page["/Resources"]
     assert isinstance(resources, DictionaryObject)
     forms = resources.setdefault(NameObject("/XObject"), DictionaryObject()).get_object()
-    forms[NameObject(name)] = _in(writer, form.flate_encode())
+    forms[NameObject(name)] = _add_stream(writer, form.flate_encode())
     put = DecodedStreamObject()
     scale = f"{place.scale:.6f}"
     put.set_data(f"q {scale} 0 0 {scale} {place.left:.3f} {place.low:.3f} cm {name} Do Q".encode())
     before = page.raw_get("/Contents")
     # Streams in a row: readers draw nothing of a page whose list holds another list.
     parts = list(before) if isinstance(before, ArrayObject) else [before]
-    page[NameObject("/Contents")] = ArrayObject([*parts, _in(writer, put)])
+    page[NameObject("/Contents")] = ArrayObject([*parts, _add_stream(writer, put)])
 
 
-def _in(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
+def _add_stream(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
     """The reference of a stream that becomes one of the file."""
     # Only what may have a reference is given one.
     stream.indirect_reference = None
@@ -397,7 +397,7 @@ def _drawing(pages: _Pages, figure: Figure, x: float) -> None:
         return
     low = pages.h - pages.get_y() - height
     scale = width / (25.4 * figure.graphic.size[0])
-    pages.places.append(_Place(pages.page - 1, POINT * x, POINT * low, scale))
+    pages.places.append(_DrawingPlace(pages.page - 1, POINT * x, POINT * low, scale))
     pages.waiting.append(figure.graphic)
     if len(pages.waiting) == MOST_TOGETHER:
         pages.begin_drawing()

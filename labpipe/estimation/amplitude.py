@@ -31,19 +31,19 @@ class _Amplitudes(SquareSum):
 
     @property
     def size(self) -> float:
-        return float(np.linalg.norm(self.scaled(self.amplitude)))
+        return float(np.linalg.norm(self.scale(self.amplitude)))
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         fitted = np.abs(self.model.receptance(parameters, self.measured.omega)).reshape(-1)
-        return self.scaled(self.amplitude - fitted)
+        return self.scale(self.amplitude - fitted)
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d|H| = Re(H^* dH) / |H|."""
         h = self.model.receptance(parameters, self.measured.omega).reshape(-1)
         slopes = self.model.jacobian(parameters, self.measured.omega).reshape(len(self.model.terms), -1)
-        return -self.scaled((h.conj() * slopes).real / np.abs(h)).T
+        return -self.scale((h.conj() * slopes).real / np.abs(h)).T
 
-    def scaled(self, values: FloatArray) -> FloatArray:
+    def scale(self, values: FloatArray) -> FloatArray:
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))
 
 
@@ -136,7 +136,7 @@ def _physical(x: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
 
 def _goodness(problem: _Amplitudes, values: FloatArray, dof: int) -> Goodness:
     residual, amplitude = problem.residual(values), problem.amplitude
-    scaled = problem.scaled(amplitude)
+    scaled = problem.scale(amplitude)
     total = float(np.sum((scaled - scaled.mean()) ** 2))
     r2 = 1 - float(residual @ residual) / total if total > 0 else 0.0
     adjusted = 1 - (1 - r2) * (amplitude.size - 1) / dof

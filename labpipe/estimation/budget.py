@@ -22,7 +22,7 @@ from labpipe.distributions import coverage_factor, factor_at_coverage
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.derived import DIVIDED, BandModel, reported_parameters, with_systematic
 from labpipe.estimation.estimators import Step
-from labpipe.estimation.leakage import expected
+from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.measured import SHARE, Measured, across_ports, turn
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.output_error import OutputError
@@ -122,7 +122,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     likely = case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))
     followed = np.zeros(case.estimate.values.size)
     for number in range(MOST_ROUNDS if sources else 0):
-        problem = OutputError(moved.measured, expected(moved.measured, moved.model), weights)
+        problem = OutputError(moved.measured, expected_model(moved.measured, moved.model), weights)
         values = moved.estimate.values
         residual, jacobian = problem.residual(values), problem.jacobian(values)
         inverse = solve_scaled(jacobian, residual)[1]
@@ -163,11 +163,11 @@ def _residual_changes(
     A gain acts on the fitted response: with the measured one the residual's own noise would be an error.
     """
     values = case.estimate.values
-    fitted = expected(case.measured, case.model).receptance(values, case.measured.omega)
+    fitted = expected_model(case.measured, case.model).receptance(values, case.measured.omega)
     case = replace(case, measured=replace(case.measured, matrix=fitted))
 
     def residual(changed: Case) -> FloatArray:
-        model = expected(changed.measured, _model_of(case, changed))
+        model = expected_model(changed.measured, _model_of(case, changed))
         return OutputError(changed.measured, model, weights).residual(values)
 
     return _slopes(case, sources, residual)
@@ -417,7 +417,7 @@ def likelihood_step(case: Case) -> Step:
     _, inverse = solve_scaled(jacobian, residual)
 
     def step(model: BandModel, changed: Measured) -> FloatArray:
-        moved_problem = OutputError(changed, expected(changed, model), problem.whitener)
+        moved_problem = OutputError(changed, expected_model(changed, model), problem.whitener)
         moved = moved_problem.residual(case.estimate.values)
         return case.estimate.values - inverse @ (jacobian.T @ (moved - residual))
 

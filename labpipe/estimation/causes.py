@@ -23,14 +23,14 @@ from labpipe.distributions import f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.derived import Estimated, correct
 from labpipe.estimation.descent import minimise, scaled_triangle
-from labpipe.estimation.leakage import expected
+from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_matrices
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import inverse_of, regression
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of, steps_by
-from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened, whitener
+from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whiten_values, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.uncertain import Uncertainty
 
@@ -145,10 +145,10 @@ def _free_fit(
         return None
     try:
         problem = OutputError.of(measured, model)
-        minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
+        minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearise)
         if not minimum.converged:
             return None
-        linear = problem.linearised(minimum.values)
+        linear = problem.linearise(minimum.values)
         inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
         jacobian, residual = problem.jacobian(minimum.values), problem.residual(minimum.values)
         steps = np.zeros((0, start.size)) if stated is None else steps_by(stated.changes, jacobian, inverse)
@@ -242,15 +242,15 @@ class DelayedModel:
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H [m/N] with its delay, (n_line, n_output, n_input), at parameters (n_parameter + 1,)."""
-        return self.model.receptance(parameters[:-1], omega) * self.turned(parameters[-1], omega)
+        return self.model.receptance(parameters[:-1], omega) * self.phase_factor(parameters[-1], omega)
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """Its derivatives, (n_parameter + 1, n_line, n_output, n_input) [m/N per parameter unit]."""
         slope = np.where(self.late, -1j * omega[:, None, None], 0.0) * self.receptance(parameters, omega)
-        others = self.model.jacobian(parameters[:-1], omega) * self.turned(parameters[-1], omega)
+        others = self.model.jacobian(parameters[:-1], omega) * self.phase_factor(parameters[-1], omega)
         return np.concatenate([others, slope[None]])
 
-    def turned(self, delay: float, omega: FloatArray) -> ComplexArray:
+    def phase_factor(self, delay: float, omega: FloatArray) -> ComplexArray:
         """exp(-j w tau) of a *delay* [s] at late elements, else 1, (n_line, n_output, n_input) [1]."""
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
@@ -290,17 +290,19 @@ def _best_of_grid(
     away: half a period off, a mode has the same course with the other signs.
     """
     omega = measured.omega
-    delayed = DelayedModel(expected(measured, model), late)
+    delayed = DelayedModel(expected_model(measured, model), late)
     problem = OutputError(measured, delayed, fit_weights(measured))
 
     def chi2(receptance: ComplexArray) -> float:
-        residual = problem.whitened(measured.matrix - receptance)
+        residual = problem.whiten(measured.matrix - receptance)
         return float(residual @ residual)
 
     # H without a delay is the same all over the grid.
     still = delayed.model.receptance(values, omega)
     delays = delays_of_grid(float(omega[-1]))
-    places = [(chi2(still * delayed.turned(delay, omega)), np.append(values, delay)) for delay in delays]
+    places = [
+        (chi2(still * delayed.phase_factor(delay, omega)), np.append(values, delay)) for delay in delays
+    ]
     if late.size == 1:
         least = np.column_stack([least_squares_at_delays(measured, model, delays), delays])
         places += [(chi2(delayed.receptance(place, omega)), place) for place in least]
@@ -358,7 +360,7 @@ def _delay(
         return None
     try:
         minimum = minimise(problem, start, most_steps=MOST_STEPS)
-        linear = problem.linearised(minimum.values)
+        linear = problem.linearise(minimum.values)
         inverse, dof = inverse_of(linear), linear.n_equation - minimum.values.size
         of_noise = dof * weight_uncertainty(measured, dof).excess
     except (FitError, np.linalg.LinAlgError):
@@ -435,11 +437,11 @@ def drift_findings(
         return []
     try:
         whiten = whitener(measured)
-        jacobian = whitened(whiten, model.jacobian(values, measured.omega))
+        jacobian = whiten_values(whiten, model.jacobian(values, measured.omega))
         fitted = measured.plus_offset(model.receptance(values, measured.omega))
     except FitError:
         return []
-    change = whitened(whiten, measured.change)
+    change = whiten_values(whiten, measured.change)
     shapes = [*_kinds(jacobian, model, values), *_gains(measured, whiten, fitted)]
     chance = _chance(change, np.vstack([jacobian, *(shape for _, shape in shapes)]), measured)
     if chance is None:
@@ -457,7 +459,7 @@ def drift_findings(
         by = change_text(100 * amount, 100 * error, "%")
         text = f"it looks like {name} changed by {by}"
     else:
-        text = _of_parameters(jacobian, model, values, change, chance)
+        text = _parameter_cause(jacobian, model, values, change, chance)
     message = (
         f"the second half of the record differs from the first ({chance_text(p_value)}): {text}. An even "
         "drift is twice that from the beginning to the end. The parameters are means over a changing rig, "
@@ -478,10 +480,10 @@ def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list
 def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
     if len(outputs) == len(inputs) == 1:
-        return [(f"the gain of {outputs[0]} or {inputs[0]}", whitened(whiten, fitted))]
+        return [(f"the gain of {outputs[0]} or {inputs[0]}", whiten_values(whiten, fitted))]
     rows, columns = np.eye(len(outputs))[:, None, :, None], np.eye(len(inputs))[:, None, None, :]
     masks = [*zip(outputs, rows, strict=True), *zip(inputs, columns, strict=True)]
-    return [(f"the gain of {name}", whitened(whiten, fitted * mask)) for name, mask in masks]
+    return [(f"the gain of {name}", whiten_values(whiten, fitted * mask)) for name, mask in masks]
 
 
 def _basis(shapes: FloatArray) -> FloatArray:
@@ -506,7 +508,7 @@ def _along(change: FloatArray, shape: FloatArray) -> float:
     return float(change @ shape) / length if length > 0 else 0.0
 
 
-def _of_parameters(
+def _parameter_cause(
     jacobian: FloatArray, model: FittedModel, values: FloatArray, change: FloatArray, chance: _Chance
 ) -> str:
     inverse = np.linalg.pinv(jacobian @ jacobian.T)

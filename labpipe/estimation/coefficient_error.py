@@ -75,7 +75,7 @@ class CoefficientError:
         """The causes that the evidence names, in words."""
         return reason_of(self.discrepancy.shares)
 
-    def stated(
+    def state(
         self,
         parameters: tuple[Parameter, ...],
         reported: Callable[[FloatArray, FloatArray], tuple[Parameter, ...]],
@@ -118,7 +118,7 @@ class Misfit(Protocol):
     def omega(self) -> FloatArray:
         """Of the lines, (n_line,) [rad/s]."""
 
-    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def linearise(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n), at *at*
         (n,) [parameter units].
         """
@@ -145,7 +145,7 @@ class _Responses:
     def omega(self) -> FloatArray:
         return self.measured.omega
 
-    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def linearise(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         residual = self.measured.matrix - self.model.receptance(at, self.omega)
         jacobian = self.model.jacobian(at, self.omega).transpose(1, 2, 3, 0)
         return self._white(residual[..., None])[..., 0], self._white(jacobian)
@@ -177,9 +177,9 @@ def averaged_error(misfit: Misfit) -> CoefficientError | None:
         scene = _Scene(misfit)
         mean = misfit.values
         for _ in range(LINEARISATIONS):
-            error = scene.averaged(mean)
+            error = scene.average(mean)
             shift = float(np.max(np.abs(error.mean - mean) / scene.errors))
-            mean = scene.limited(error.mean)
+            mean = scene.limit(error.mean)
             if shift < FAR:
                 break
         return error
@@ -193,7 +193,7 @@ class _Scene:
 
     def __post_init__(self) -> None:
         self.values = self.misfit.values
-        residual, jacobian = self.misfit.linearised(self.values)
+        residual, jacobian = self.misfit.linearise(self.values)
         self.n_equation = residual.size
         self.scale = np.sqrt(np.sum(np.abs(jacobian) ** 2, axis=(0, 1)))
         if not np.all(np.isfinite(self.scale)) or not np.all(self.scale > 0):
@@ -206,10 +206,10 @@ class _Scene:
         self.reach = PRIOR * np.array([largest[kind] for kind in kinds]) + 3 * self.errors
         self.courses = list(self._courses())
 
-    def limited(self, mean: FloatArray) -> FloatArray:
+    def limit(self, mean: FloatArray) -> FloatArray:
         return self.values + np.clip(mean - self.values, -self.reach, self.reach)
 
-    def _courses(self) -> Iterator[_Course]:
+    def _courses(self) -> Iterator[_ErrorCourse]:
         for kind, white in self.misfit.patterns().items():
             power = float(np.sum(np.abs(white) ** 2))
             if not power > 0 or not np.isfinite(power):
@@ -220,7 +220,7 @@ class _Scene:
             tried = [self._functions(kind, length, white.shape[2]) for length in LENGTHS[kind]]
             kept = [functions for functions in tried if functions is not None]
             for functions in kept:
-                yield _Course.of(kind, prior - np.log(len(LENGTHS) * len(kept)), unit * white, functions)
+                yield _ErrorCourse.of(kind, prior - np.log(len(LENGTHS) * len(kept)), unit * white, functions)
 
     def _functions(self, kind: str, length: float, n_pattern: int) -> FloatArray | None:
         f = self.misfit.omega / (2 * np.pi)
@@ -237,9 +237,9 @@ class _Scene:
         functions = matern(f, nodes, length) @ (vectors[:, kept] / np.sqrt(values[kept]))
         return functions if kind not in USUAL else _as_large_as_it_varies(functions)
 
-    def averaged(self, at: FloatArray) -> CoefficientError:
+    def average(self, at: FloatArray) -> CoefficientError:
         """The average over all courses, linearised at *at* (n,) [parameter units]."""
-        residual, jacobian = self.misfit.linearised(at)
+        residual, jacobian = self.misfit.linearise(at)
         jacobian = jacobian / self.scale
         away = (self.values - at) * self.scale
         prior = np.diag(1 / (self.reach * self.scale) ** 2)
@@ -254,7 +254,7 @@ class _Scene:
         names, logs = ["none", *[WHITE] * (LARGER.size - 1)], [np.full(1, np.log(SOUND))]
         columns = np.concatenate([jacobian, residual[..., None]], axis=2)
         for course in self.courses:
-            parts.append(_evidence(plain, course, prior, away, AMPLITUDES[1:], course.turned(columns)))
+            parts.append(_evidence(plain, course, prior, away, AMPLITUDES[1:], course.rotate(columns)))
             names += [course.kind] * parts[-1][0].size
             logs.append(course.prior)
         evidences, shifts, spreads = zip(*parts, strict=True)
@@ -360,7 +360,7 @@ class _Sums:
 
 
 @dataclass(frozen=True)
-class _Course:
+class _ErrorCourse:
     """A course of one type, ln of its prior (n_amplitude,) [1], with eigenvalues (n_number,) and eigenvectors
     (n_number, n_number) [1] of D^H D; patterns (n_line, n_element, n_pattern), functions (n_line,
     n_function).
@@ -374,7 +374,7 @@ class _Course:
     vectors: ComplexArray
 
     @classmethod
-    def of(cls, kind: str, prior: FloatArray, patterns: ComplexArray, functions: FloatArray) -> _Course:
+    def of(cls, kind: str, prior: FloatArray, patterns: ComplexArray, functions: FloatArray) -> _ErrorCourse:
         """D^H D is the sum over lines of (patterns by patterns) times (functions by functions)."""
         n_line, _, n_pattern = patterns.shape
         n = functions.shape[1]
@@ -385,7 +385,7 @@ class _Course:
         values, vectors = linalg.eigh(square, driver="evd", check_finite=False, overwrite_a=True)
         return cls(kind, prior, patterns, functions, np.maximum(values, 0.0), vectors)
 
-    def turned(self, columns: ComplexArray) -> ComplexArray:
+    def rotate(self, columns: ComplexArray) -> ComplexArray:
         """D^H *columns* (n_line, n_element, n) along the eigenvectors, (n_number, n)."""
         n_line, _, n_pattern = self.patterns.shape
         n = self.functions.shape[1]
@@ -396,7 +396,7 @@ class _Course:
 
 def _evidence(
     plain: _Sums,
-    course: _Course | None,
+    course: _ErrorCourse | None,
     prior: FloatArray,
     away: FloatArray,
     amplitudes: FloatArray,

@@ -14,13 +14,13 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.damping import FactorModel, damp
-from labpipe.estimation.descent import Linearisation, SquareSum, linearised, minimise
+from labpipe.estimation.descent import Linearisation, SquareSum, linearise_problem, minimise
 from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import Estimate
-from labpipe.estimation.weights import has_noise, weight_uncertainty, whitened, whitener
+from labpipe.estimation.weights import has_noise, weight_uncertainty, whiten_values, whitener
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
@@ -79,7 +79,7 @@ class RationalFit(SquareSum):
 
     def lowest_chi2(self) -> float | None:
         """Chi-square [1] at the minimum; None without convergence in MOST_STEPS."""
-        minimum = minimise(self, self.start(), near=NEAR, most_steps=MOST_STEPS, linearise=self.linearised)
+        minimum = minimise(self, self.start(), near=NEAR, most_steps=MOST_STEPS, linearise=self.linearise)
         return self.chi2(minimum.values) if minimum.converged else None
 
     def residual(self, parameters: FloatArray) -> FloatArray:
@@ -91,7 +91,7 @@ class RationalFit(SquareSum):
         denominator, fitted = self._fit(parameters)
         return -self._whiten(self._columns(fitted, 1 / denominator)).T
 
-    def linearised(self, parameters: FloatArray) -> Linearisation:
+    def linearise(self, parameters: FloatArray) -> Linearisation:
         """The linearisation at *parameters* (n_parameter,) [1] from the normal equations; by QR where
         rounding leaves them not positive definite.
         """
@@ -102,7 +102,7 @@ class RationalFit(SquareSum):
         try:
             triangle = np.linalg.cholesky(normal / (scale[:, None] * scale)).T
         except np.linalg.LinAlgError:
-            return linearised(self, parameters)
+            return linearise_problem(self, parameters)
         projected = -np.linalg.solve(triangle.T, right_side / scale)
         return Linearisation(triangle, projected, scale, self.chi2(parameters), 2 * residual.size)
 
@@ -190,7 +190,7 @@ class RationalFit(SquareSum):
         return (products.real @ values.real - products.imag @ values.imag).reshape(rows, columns, -1)
 
     def _whiten(self, values: ComplexArray) -> FloatArray:
-        return whitened(self.whitener, self.unit * values[..., None])
+        return whiten_values(self.whitener, self.unit * values[..., None])
 
 
 # Difference in AIC beyond which a model has no support (Burnham and Anderson 2002, sec. 2.6).

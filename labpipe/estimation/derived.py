@@ -88,13 +88,13 @@ def correct(total: Estimated, settings: FitSettings) -> Estimated:
     """(total - support) / share for stiffness and damping: k_bearing = (k_total - k_support) / n. The
     uncertainty of the support is a source of its own. Equation (est-corrected).
     """
-    of_support = np.array([_of_support(name, settings) for name in total.names])
+    of_support = np.array([_support_mass(name, settings) for name in total.names])
     divisor = np.array([float(settings.share) if unit in DIVIDED else 1.0 for unit in total.units])
     covariance = total.covariance / np.outer(divisor, divisor)
     return replace(total, values=(total.values - of_support) / divisor, covariance=covariance)
 
 
-def _of_support(name: str, settings: FitSettings) -> float:
+def _support_mass(name: str, settings: FitSettings) -> float:
     support = settings.subtract or Support()
     amounts = {"k": support.stiffness.value, "c": support.damping.value}
     return amounts.get(name[0], 0.0) if is_direct(name) else 0.0
@@ -112,7 +112,7 @@ Quantities = dict[str, tuple[str, FloatArray]]
 
 
 @dataclass(frozen=True)
-class Modes:
+class SystemModes:
     """Oscillating modes in ascending order of frequency, of (n_case,) systems.
 
     frequency (n_case, n_mode) [Hz] = |lambda| / 2 pi, with a loss factor sqrt(-Re lambda^2) / 2 pi; damping
@@ -126,7 +126,7 @@ class Modes:
     participation: FloatArray
 
 
-def modes(matrices: Matrices) -> Modes | None:
+def modes(matrices: Matrices) -> SystemModes | None:
     """Eigenvalues of (lambda^2 M + lambda C + K) x = 0, matrices (n_case, n_dof, n_dof).
 
     With a loss factor K is complex, with a meaning for positive frequencies alone: of each pair of
@@ -154,7 +154,7 @@ def modes(matrices: Matrices) -> Modes | None:
     shapes = shapes / np.take_along_axis(shapes, leading[:, None], axis=1)
     # Rows of (M Phi)^-1 are the left vectors with y^T M x = 1.
     participation = np.linalg.solve(m @ shapes, matrices.force)
-    return Modes(frequency / (2 * np.pi), -upper.real / np.abs(upper), shapes, participation)
+    return SystemModes(frequency / (2 * np.pi), -upper.real / np.abs(upper), shapes, participation)
 
 
 def modal_quantities(matrices: Matrices, outputs: tuple[str, ...], inputs: tuple[str, ...]) -> Quantities:
@@ -224,7 +224,7 @@ def _damping_coefficients(model: FactorModel, values: FloatArray, settings: FitS
         places = np.argwhere(term.matrices.stiffness != 0)
         if places.size:
             name, total = f"c{term.name[1:]}", damping[:, places[0][0], places[0][1]]
-            coefficients[name] = ("N.s/m", (total - _of_support(name, settings)) / settings.share)
+            coefficients[name] = ("N.s/m", (total - _support_mass(name, settings)) / settings.share)
             totals[f"{name}_total"] = ("N.s/m", total)
     return coefficients | totals if is_corrected(settings) else coefficients
 
@@ -262,7 +262,7 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
     given: Any = setup.settings.mass if stiffness == "k" else 1.0
     k, m = total.value(stiffness), total.value("m") if "m" in total.names else float(given)
 
-    def derived(name: str, unit: str, value: float, slopes: dict[str, float]) -> Parameter:
+    def derive(name: str, unit: str, value: float, slopes: dict[str, float]) -> Parameter:
         return statistics.derive(name, unit, float(value), propagate(total, slopes), dof)
 
     resonance = []
@@ -270,13 +270,13 @@ def _resonance(total: Estimated, setup: Setup, dof: int) -> list[Parameter]:
         w_n = np.sqrt(k / m)
         f_n = w_n / (2 * np.pi)
         if {stiffness, "m"} & {*total.names} - {*dict(setup.settings.fixed)}:
-            resonance.append(derived("f_n", "Hz", f_n, {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}))
+            resonance.append(derive("f_n", "Hz", f_n, {stiffness: f_n / (2 * k), "m": -f_n / (2 * m)}))
         if damping:
             zeta = total.value(damping) / (2 * m * w_n)
             slopes = {damping: 1 / (2 * m * w_n), stiffness: -zeta / (2 * k), "m": -zeta / (2 * m)}
-            resonance.append(derived("zeta", "1", zeta, slopes))
+            resonance.append(derive("zeta", "1", zeta, slopes))
     if "m" in total.names and m != 0 and transfer_of(setup):
-        resonance.append(derived("modal_constant", "1/kg", 1 / m, {"m": -1 / m**2}))
+        resonance.append(derive("modal_constant", "1/kg", 1 / m, {"m": -1 / m**2}))
     return resonance
 
 
@@ -305,13 +305,13 @@ def reported_parameters(
     # A law's factors come behind the terms, and have no coefficients tied to them.
     aliases = [(number, alias) for number, term in enumerate(model.terms) for alias in term.aliases]
     places = [*range(vifs.size), *(number for number, _ in aliases)]
-    every = _with_given(total, places, [alias for _, alias in aliases], settings.fixed)
+    every = _add_given(total, places, [alias for _, alias in aliases], settings.fixed)
     reported = correct(every, settings)
     coefficients = []
     for number, (name, place) in enumerate(zip(reported.names, places, strict=False)):
         value, error, dof = reported.value(name), reported.std_error(name), int(estimate.student_dof[place])
         of_place = value, error, dof, float(vifs[place]), number >= vifs.size
-        coefficients.append(statistics.estimated(name, reported.units[number], *of_place))
+        coefficients.append(statistics.appraise(name, reported.units[number], *of_place))
     derived = derived_parameters(total, every, model, setup, int(estimate.student_dof.min()))
     given = [
         Parameter(name + end, of.value(name), COEFFICIENT_UNITS[name[0]], derived=True)
@@ -323,7 +323,7 @@ def reported_parameters(
     return parameters if estimate.converged else without_intervals(parameters)
 
 
-def _with_given(
+def _add_given(
     total: Estimated, places: list[int], tied: list[str], given: tuple[tuple[str, float], ...]
 ) -> Estimated:
     """The estimates at *places* among *total*, those behind it under the names *tied*, then the *given*
@@ -395,7 +395,7 @@ def _expand(parameter: Parameter, systematic: float, dof: float) -> Parameter:
         low = high = reach
     else:
         low, high = (math.hypot(side, reach * systematic / combined) for side in (low, high))
-    return statistics.restated(parameter, value, combined, (value - low, value + high), systematic=systematic)
+    return statistics.restate(parameter, value, combined, (value - low, value + high), systematic=systematic)
 
 
 # Parts of the step between two lines, least number of frequencies in a band, and the largest.
@@ -413,7 +413,7 @@ def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexA
     Between two lines stand PARTS - 1 more, or as many as make FEWEST in all; where the model bends by more
     than FLATNESS, as at a light resonance, the step is halved again, up to MOST frequencies.
     """
-    frequency = between(lines)
+    frequency = lines_between(lines)
     values = model(frequency)
     for _ in range(ROUNDS):
         middle = (frequency[:-1] + frequency[1:]) / 2
@@ -433,7 +433,7 @@ def drawn_densely(model: Model, lines: FloatArray) -> tuple[FloatArray, ComplexA
     return frequency, values
 
 
-def between(lines: FloatArray) -> FloatArray:
+def lines_between(lines: FloatArray) -> FloatArray:
     """The lines (n_line,) [Hz] with equal parts of every step between them, (n,) [Hz]."""
     steps = max(lines.size - 1, 1)
     parts = max(1, min(max(PARTS, -(-(FEWEST - 1) // steps)), (MOST - 1) // steps))
@@ -445,7 +445,7 @@ def between(lines: FloatArray) -> FloatArray:
 GAIN = "gain"
 
 
-def with_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -> Fit:
+def add_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -> Fit:
     """The fit of a *response* with what it takes for granted."""
     rows, columns = select_ports(response, settings.input, settings.output)
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]

@@ -115,7 +115,7 @@ class Linearisation:
     n_equation: int
 
 
-def linearised(problem: SquareSum, parameters: FloatArray) -> Linearisation:
+def linearise_problem(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
     # A parameter on which nothing depends has the length 1: damping keeps the step finite.
@@ -139,13 +139,13 @@ def minimise(
     """Levenberg-Marquardt from *start* (n_parameter,) [parameter units].
 
     *near*: distance to the minimum in standard errors (residual per equation) at which the descent stops. Not
-    converged after *most_steps*. *linearise* replaces `linearised` for a problem that knows a shorter way.
+    converged after *most_steps*. *linearise* replaces `linearise_problem` where a shorter way is known.
     Equation (est-levenberg).
     """
     values, damping = start, 1e-3
     rounding = ROUNDING * problem.size
     for steps in range(most_steps):
-        linear = linearise(values) if linearise else linearised(problem, values)
+        linear = linearise(values) if linearise else linearise_problem(problem, values)
         # Unlike the last step, the gain of a further full step does not become small by large damping.
         gain, size = float(np.linalg.norm(linear.projected)), float(np.sqrt(linear.chi2))
         standard_error = size / np.sqrt(linear.n_equation)

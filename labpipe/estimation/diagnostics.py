@@ -380,7 +380,7 @@ def mode_findings(parameters: Sequence[Parameter], band: tuple[float, float], se
     if not setup.settings.kind.one_mode or not setup.settings.frees_mass:
         return []
     by_name = {parameter.name: parameter for parameter in parameters}
-    beside = [] if setup.closed_loop else _beside(by_name, band)
+    beside = [] if setup.closed_loop else _modes_beside(by_name, band)
     text = "; ".join((*_negative(by_name, driving=not transfer_of(setup)), *beside))
     what = f"{text}; its numbers are not those of a mode of the structure"
     return [Finding("unphysical", what)] if text else []
@@ -418,7 +418,7 @@ def _negative(by_name: dict[str, Parameter], *, driving: bool) -> list[str]:
     return text
 
 
-def _beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[str]:
+def _modes_beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> list[str]:
     f_n, k, m = (by_name.get(name) for name in ("f_n", "k", "m"))
     if f_n is None and k is not None and m is not None and k.value * m.value <= 0:
         signs = f"k = {k.value:.3g} N/m and m = {m.value:.3g} kg have different signs"

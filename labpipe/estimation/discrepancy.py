@@ -43,7 +43,7 @@ FEWEST_LINES, FEWEST_WIDTHS = 20, 3.0
 
 
 @dataclass(frozen=True)
-class Course:
+class DiscrepancyCourse:
     """One type and length [Hz] of a discrepancy beside noise S (I + a^2 K) S: eigenvalues (n_line,) of K, of
     trace n_line, and rotated whitening *rotate* (n_line, n_line) [1 / unit]; *before*: ln det of other noise;
     *amplitudes* a (n_amplitude,) [1].
@@ -90,7 +90,7 @@ def lengths_of(base: mode_model.Fitted) -> dict[str, FloatArray]:
     }
 
 
-def course(base: mode_model.Fitted, kind: str, length: float) -> Course:
+def course(base: mode_model.Fitted, kind: str, length: float) -> DiscrepancyCourse:
     """A course beside the measured noise; phases of b only turn the eigenvectors: the problem is real."""
     curve, b = base.model.curve, _shape(base, kind)
     size = np.abs(b) / curve.std
@@ -99,18 +99,20 @@ def course(base: mode_model.Fitted, kind: str, length: float) -> Course:
     # In LAPACK's order of columns, without a copy.
     values, vectors = linalg.eigh(matrix.T, driver="evd", check_finite=False, overwrite_a=True)
     turned = np.conj(b / np.maximum(np.abs(b), np.finfo(float).tiny)) / curve.std
-    return Course(kind, length, np.maximum(values, 0.0), vectors.T * turned)
+    return DiscrepancyCourse(kind, length, np.maximum(values, 0.0), vectors.T * turned)
 
 
-def larger_noise(base: mode_model.Fitted) -> Course:
+def larger_noise(base: mode_model.Fitted) -> DiscrepancyCourse:
     """Noise larger than the measured one, alike relative to it on all lines: a course without length."""
     size = base.model.curve.frequency.size
-    return Course(WHITE, 0.0, np.ones(size), np.diag(1 / base.model.curve.std).astype(np.complex128))
+    return DiscrepancyCourse(
+        WHITE, 0.0, np.ones(size), np.diag(1 / base.model.curve.std).astype(np.complex128)
+    )
 
 
 def courses_beside(
-    base: mode_model.Fitted, first: Course, amplitude: float, tried: Sequence[tuple[str, float]]
-) -> list[Course]:
+    base: mode_model.Fitted, first: DiscrepancyCourse, amplitude: float, tried: Sequence[tuple[str, float]]
+) -> list[DiscrepancyCourse]:
     """Courses as *tried*, none like the *first*, beside the noise and this one of *amplitude* [1]."""
     curve = base.model.curve
     # Whitening of noise and first course: (I + a^2 L)^-1/2 of the rotated, whitened lines.
@@ -128,12 +130,12 @@ def courses_beside(
         values, vectors = linalg.eigh(matrix, driver="evd", check_finite=False)
         rotate = vectors.conj().T @ whitening
         name, values = f"+{first.kind}{kind}", np.maximum(values, 0.0)
-        courses.append(Course(name, length, values, rotate, before, first.amplitudes[1:]))
+        courses.append(DiscrepancyCourse(name, length, values, rotate, before, first.amplitudes[1:]))
     return courses
 
 
 @dataclass(frozen=True)
-class Evidence:
+class MemberEvidence:
     """Of a member with each course: ln of the restricted marginal likelihood (n_course, n_amplitude) [1],
     minus infinity without a solution; mean (n_course, n_amplitude, n_kept) and covariance (n_course,
     n_amplitude, n_kept, n_kept) of what is kept; the ends *theta* (n_course, n) [1].
@@ -147,11 +149,11 @@ class Evidence:
 
 def evidence(
     fit: mode_model.Fitted,
-    courses: Sequence[Course],
+    courses: Sequence[DiscrepancyCourse],
     rows: FloatArray,
     steps: int,
     begin: FloatArray | None = None,
-) -> Evidence:
+) -> MemberEvidence:
     """Linear-Gaussian evidence around the fit, or *begin* (n,), linearised again up to *steps* times where it
     is greatest.
 
@@ -167,7 +169,7 @@ def evidence(
     going, start = np.arange(len(courses)), fit.at_minimum if begin is None else model.at(begin)
     for step in range(steps):
         linear = (
-            _linearised(courses[i], fit, theta[i], model.at(theta[i]) if step else start, prior)
+            _linearise(courses[i], fit, theta[i], model.at(theta[i]) if step else start, prior)
             for i in going.tolist()
         )
         scale, f, g, marginal = (np.array(part) for part in zip(*linear, strict=True))
@@ -199,11 +201,15 @@ def evidence(
         going = going[~small]
         if not going.size:
             break
-    return Evidence(log, mean, covariance, theta)
+    return MemberEvidence(log, mean, covariance, theta)
 
 
-def _linearised(
-    of: Course, fit: mode_model.Fitted, theta: FloatArray, at: tuple[ComplexArray, ...], prior: FloatArray
+def _linearise(
+    of: DiscrepancyCourse,
+    fit: mode_model.Fitted,
+    theta: FloatArray,
+    at: tuple[ComplexArray, ...],
+    prior: FloatArray,
 ) -> tuple[FloatArray, ...]:
     """Lengths of the columns of J (n,), not finite if run away; F (n_amplitude, n, n) and g (n_amplitude, n)
     over them; what of ln E needs no solution (n_amplitude,).
@@ -250,7 +256,7 @@ class Mixture:
         """Share of the evidence for the model as it is, beside noise as measured [1]."""
         return self.shares.get("none", 0.0)
 
-    def stated(self, row: FloatArray) -> tuple[float, float, float]:
+    def stated_interval(self, row: FloatArray) -> tuple[float, float, float]:
         """The interval of *row* (n_kept,) [any unit] whose excess over that of noise counts by CALIBRATION:
         d_* = sqrt(d^2 + (1.5^2 - 1) max(d^2 - d_A^2, 0)).
         """
@@ -275,11 +281,13 @@ class Settled(Mixture):
 
     others: tuple[Mixture, ...] = ()
 
-    def stated(self, row: FloatArray) -> tuple[float, float, float]:
+    def stated_interval(self, row: FloatArray) -> tuple[float, float, float]:
         """Of *row* (n_kept,) [any unit] the mixture of N(c, (h / 1.96)^2) over them all, h the half-width of
         each, with weights 1 / (h^2 + median h^2): its mean, 2.5 and 97.5 %.
         """
-        ends = np.array([super().stated(row), *(other.stated(row) for other in self.others)])
+        ends = np.array(
+            [super().stated_interval(row), *(other.stated_interval(row) for other in self.others)]
+        )
         centres, reach = (ends[:, 1] + ends[:, 2]) / 2, (ends[:, 2] - ends[:, 1]) / 2
         weights = 1 / (reach**2 + np.median(reach) ** 2)
         weights /= np.sum(weights)
@@ -348,9 +356,9 @@ class _Scan:
     """
 
     fit: mode_model.Fitted
-    courses: Sequence[Course]
+    courses: Sequence[DiscrepancyCourse]
     prior: FloatArray
-    evidence: Evidence
+    evidence: MemberEvidence
     log: FloatArray
 
     @property
@@ -376,7 +384,7 @@ class _Scan:
 def _scan(
     base: mode_model.Fitted,
     fit: mode_model.Fitted,
-    courses: Sequence[Course],
+    courses: Sequence[DiscrepancyCourse],
     prior: FloatArray,
     begin: FloatArray | None = None,
 ) -> _Scan:

@@ -74,7 +74,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
     if measured.noise is not None:
-        noise = np.linalg.solve(whitener(measured), measured.noise.drawn(rng, n))[:, :, 0]
+        noise = np.linalg.solve(whitener(measured), measured.noise.draw(rng, n))[:, :, 0]
     else:
         values, vectors = np.linalg.eigh(measured.covariance)
         # The refits' lines are independent: stronger noise gives the scatter of lines that share noise.

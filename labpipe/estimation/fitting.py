@@ -24,15 +24,15 @@ from labpipe.estimation.budget import (
 from labpipe.estimation.comparison import candidates, comparison_findings
 from labpipe.estimation.damping import damp
 from labpipe.estimation.draws import Budgeted, bootstrap, propagate
-from labpipe.estimation.leakage import expected
+from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import Judgement, by_lines, judge
+from labpipe.estimation.mismatch import Judgement, errors_by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.repeated import over_repeats
+from labpipe.estimation.repeated import mean_over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
 from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
@@ -78,9 +78,9 @@ def identify(
     fits = _fits(measured, settings, judging)
     if isinstance(measured, FrequencyResponse):
         if repeated and measured.repeats is not None:
-            fits = over_repeats(fits, measured, settings, _fits)
+            fits = mean_over_repeats(fits, measured, settings, _fits)
         fits = tuple(
-            derived.with_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
+            derived.add_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
             for fit in fits
         )
     return tuple(with_contributions(fit, settings.coverage) for fit in fits)
@@ -198,7 +198,7 @@ def _may_have_residuals(setup: Setup) -> bool:
     return settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain
 
 
-def _beside_others(
+def _driving_mode(
     setup: Setup, measured: Measured, estimate: Estimate, band: Band
 ) -> tuple[DrivingMode, Estimate, str] | None:
     """The mode with residual terms, its estimate and a note, where a driving point gives a mode with them
@@ -228,7 +228,7 @@ def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
     model = _model(setup)
     for name in model.names:
         if name not in names and isinstance(model, DynamicModel):
-            model = model.fixed(name)
+            model = model.fix(name)
     return model
 
 
@@ -248,18 +248,18 @@ def _fit_band(
             again = maximum_likelihood_from(by_model, model, estimate.values, "")
             measured, estimate = by_model, replace(again, notes=estimate.notes)
     dropped: list[str] = []
-    beside = None if isinstance(model, TransferMode) else _beside_others(setup, measured, estimate, band)
+    beside = None if isinstance(model, TransferMode) else _driving_mode(setup, measured, estimate, band)
     if beside is not None:
         model, estimate, text = beside
         settings = replace(settings, residuals=True)
         setup, dropped = replace(setup, settings=settings), [text]
     if settings.eliminate and isinstance(model, DynamicModel):
         model, estimate, dropped = _eliminate(measured, model, estimate, settings)
-    shown = expected(measured, model) if estimator.models_leakage else model
+    shown = expected_model(measured, model) if estimator.models_leakage else model
     fitted = shown.receptance(estimate.values, measured.omega)
     leakage = diagnostics.leakage_findings(measured, model.whole(estimate.values), estimator)
     case = Case(setup, measured, model, estimate, functools.partial(_same_model, names=model.names))
-    judged = _judge(case, n_band, leaking=bool(leakage)) if judging else _Judged(by_lines(case))
+    judged = _judge(case, n_band, leaking=bool(leakage)) if judging else _Judged(errors_by_lines(case))
     estimate, judgement = judged.estimate, judged.judgement
     parameters = derived.reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
@@ -328,7 +328,7 @@ def _with_budget(
     budget = budget_of(case, parameters)
     if budget is None:
         return Budgeted(parameters)
-    budget = budget.enlarged(factors)
+    budget = budget.enlarge(factors)
     expanded = derived.with_systematic(parameters, budget)
     draws = case.setup.settings.monte_carlo
     budgeted = (
@@ -359,18 +359,18 @@ def _with_honest_intervals(
     model: derived.BandModel,
     setup: Setup,
 ) -> tuple[Parameter, ...]:
-    def reported(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
+    def report_parameters(values: FloatArray, covariance: FloatArray) -> tuple[Parameter, ...]:
         changed = replace(estimate, values=values, covariance=covariance)
         return derived.reported_parameters(changed, model, setup)
 
     error = judgement.model_error
     if isinstance(error, ModelError):
-        return error.stated(parameters)
+        return error.state(parameters)
     if error is not None:
-        return error.stated(parameters, reported)
+        return error.state(parameters, report_parameters)
     if judgement.covariance is None:
         return parameters
-    pair = (reported(estimate.values, c) for c in (estimate.covariance, judgement.covariance))
+    pair = (report_parameters(estimate.values, c) for c in (estimate.covariance, judgement.covariance))
     return derived.widened_parameters(parameters, *pair)
 
 
@@ -407,7 +407,11 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
     findings: tuple[Finding, ...] = ()
     factors: dict[str, float] = {}
     if not unknown:
-        model = expected(likely.measured, likely.model) if settings.estimates.models_leakage else likely.model
+        model = (
+            expected_model(likely.measured, likely.model)
+            if settings.estimates.models_leakage
+            else likely.model
+        )
         problem: OutputError[ReceptanceModel] = OutputError(
             likely.measured, model, fit_weights(case.measured)
         )
@@ -490,7 +494,7 @@ def _eliminate(
         name = model.terms[weakest].name
         t_ratio = f"|t| = {t_ratios[weakest]:.2f}"
         notes.append(f"{name} was dropped as insignificant ({t_ratio}) and is taken as zero")
-        model = model.fixed(name)
+        model = model.fix(name)
         estimate = _estimate(measured, model, settings)
     return model, estimate, notes
 

@@ -43,19 +43,19 @@ class SharedNoise:
         for neighbour, gain in enumerate(self._factors):
             # Line numbers do not repeat, so that one neighbour of all lines can be added at once.
             spread[places + neighbour] += gain.conj()[:, :, None] * columns
-        return self._gathered(self._by_distance(spread))
+        return self._gather(self._multiply_toeplitz(spread))
 
-    def _gathered(self, every: ComplexArray) -> ComplexArray:
+    def _gather(self, every: ComplexArray) -> ComplexArray:
         gains = enumerate(self._factors)
         return np.asarray(sum(gain[:, :, None] * every[self._places + n] for n, gain in gains))
 
-    def drawn(self, rng: np.random.Generator, n_element: int, n_draw: int = 1) -> ComplexArray:
+    def draw(self, rng: np.random.Generator, n_element: int, n_draw: int = 1) -> ComplexArray:
         """Independent draws of circular normal noise of this correlation, (n_line, n_element, n_draw) [1]."""
         kernel = self._kernel(self._n_place)
         power = np.maximum(fft.fft(kernel).real, 0.0)
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
         shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
-        return self._gathered(shared)
+        return self._gather(shared)
 
     @property
     def trace(self) -> float:
@@ -91,7 +91,7 @@ class SharedNoise:
     def _n_place(self) -> int:
         return int(self._places[-1]) + self._factors.shape[0]
 
-    def _by_distance(self, columns: ComplexArray) -> ComplexArray:
+    def _multiply_toeplitz(self, columns: ComplexArray) -> ComplexArray:
         """The correlation's Toeplitz matrix times *columns* (n_place, ...), as a circular convolution."""
         n = columns.shape[0]
         kernel = self._kernel(n)
@@ -231,7 +231,7 @@ class Leakage:
         omega, place = self.grid
         return model.receptance(parameters, omega)[place] * self._factors[:, :, None, None]
 
-    def averaged(self, values: ComplexArray) -> ComplexArray:
+    def average(self, values: ComplexArray) -> ComplexArray:
         """Mean over the kernel of values (..., n_every, n_dof, n_input) at all points, (..., n_line, n_dof,
         n_input) [unit of values].
         """
@@ -285,18 +285,18 @@ class SmearedModel:
         """Expected H1 [m/N] at *parameters* (n_parameter,), (n_line, n_dof, n_input). Equation
         (frf-smeared).
         """
-        return self.leakage.averaged(self.model.receptance(parameters, self.leakage.grid[0]))
+        return self.leakage.average(self.model.receptance(parameters, self.leakage.grid[0]))
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """Its derivatives, (n_parameter, n_line, n_dof, n_input) [m/N per parameter unit]."""
-        return self.leakage.averaged(self.model.jacobian(parameters, self.leakage.grid[0]))
+        return self.leakage.average(self.model.jacobian(parameters, self.leakage.grid[0]))
 
 
 @overload
-def expected(measured: Measured, model: ResponseModel) -> ResponseModel: ...
+def expected_model(measured: Measured, model: ResponseModel) -> ResponseModel: ...
 @overload
-def expected(measured: Measured, model: FittedModel) -> FittedModel: ...
-def expected(measured: Measured, model: Any) -> Any:
+def expected_model(measured: Measured, model: FittedModel) -> FittedModel: ...
+def expected_model(measured: Measured, model: Any) -> Any:
     """The model as random data show it: with the leakage of their blocks, where that is known."""
     return model if measured.leakage is None else SmearedModel(model, measured.leakage)
 
@@ -320,7 +320,7 @@ def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray)
     blocks, ratios = leakage.kernel.blocks, np.outer(power, 1 / power)
     alone = np.eye(len(ratios))
     of_residual = alone if blocks.apart else ratios
-    apparent = _by_force(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)
+    apparent = _force_products(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)
     # What responses share is not in the variances of a table, yet they share what leaks.
     apparent *= np.any(measured.covariance != 0, axis=0) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
@@ -357,7 +357,7 @@ def _scatter(
     covariance, turned = np.zeros((2, first.size, n, n), np.complex128)
     for weight, phases in kernel.shifts():
         shifted = both * phases[step:]
-        of_forces = _by_force(left * shifted[:, None, None], right, weight * ratios)
+        of_forces = _force_products(left * shifted[:, None, None], right, weight * ratios)
         covariance += of_forces * np.vdot(phases[step:], both)
         there = (shifted @ rows).reshape(-1, *deviation.shape[2:])
         back = (both * phases[step:].conj() @ columns).reshape(-1, *deviation.shape[2:])
@@ -365,7 +365,7 @@ def _scatter(
     return covariance, turned
 
 
-def _by_force(left: ComplexArray, right: ComplexArray, ratios: FloatArray) -> ComplexArray:
+def _force_products(left: ComplexArray, right: ComplexArray, ratios: FloatArray) -> ComplexArray:
     """Sums over points of *left* times conjugate *right* (n_line, n_point, n_output, n_input) of the forces
     by their *ratios*, (n_line, n, n).
     """

@@ -91,7 +91,7 @@ def _covariance(fit: Fit, parameters: Sequence[Parameter]) -> FloatArray:
     by_noise = np.array([parameter.std_error or 0.0 for parameter in parameters])
     for detail in fit.details:
         if detail.given_in_noise:
-            of_given = np.diag(detail.given(errors.size))
+            of_given = np.diag(detail.given_covariance(errors.size))
             errors = np.sqrt(np.maximum(errors**2 - of_given, by_noise**2))
     return fit.correlation * np.outer(errors, errors)
 

@@ -57,7 +57,7 @@ def starts(
     """
     model, linear = problem.model, problem.model.linear
     # Least squares of the equation of motion, all lines alike.
-    values = _by_line_products(problem, None)
+    values = _step_by_line_products(problem, None)
     if values is None:
         values = equation_solution(regression(problem.measured, linear, "none"), linear)[0]
     attempts = [_start(problem, "least squares", model.from_linear(values))]
@@ -82,16 +82,16 @@ def _start(problem: OutputError[ResponseModel], name: str, values: FloatArray) -
 
 
 def _reweight(problem: OutputError[ResponseModel], last: FloatArray) -> FloatArray:
-    values = _by_line_products(problem, last)
+    values = _step_by_line_products(problem, last)
     if values is not None:
         return values
     linear, h, omega = problem.model.linear, problem.measured.matrix, problem.measured.omega
-    terms = linear.filtered(last, linear.equation_terms(h, omega), omega)
-    right_side = linear.filtered(last, linear.equation_constant(h, omega)[None], omega)[0]
-    return solve_scaled(problem.whitened(terms).T, problem.whitened(right_side))[0]
+    terms = linear.filter(last, linear.equation_terms(h, omega), omega)
+    right_side = linear.filter(last, linear.equation_constant(h, omega)[None], omega)[0]
+    return solve_scaled(problem.whiten(terms).T, problem.whiten(right_side))[0]
 
 
-def _by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
+def _step_by_line_products(problem: OutputError[ResponseModel], last: FloatArray | None) -> FloatArray | None:
     """The same from products line by line, without weights and Z_last^-1 if no *last*; None where there are
     none, or inexact ones.
     """
@@ -148,7 +148,7 @@ def maximum_likelihood(
     FitError for fewer equations than parameters, or a covariance without inverse. Equation (est-ml).
     """
     if isinstance(model, TransferMode):
-        return _of_transfer_mode(measured, model)
+        return _fit_transfer_mode(measured, model)
     dof = measured.dof(len(model.names))
     weighted = has_noise(measured)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
@@ -161,7 +161,7 @@ def maximum_likelihood(
     return _estimate(measured, model, problem, best, start.name)
 
 
-def _of_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
+def _fit_transfer_mode(measured: Measured, model: TransferMode) -> Estimate:
     """The lowest minimum from least squares and, where that is not surely right, from the peaks of |H|."""
     name = "least squares of a mode with a residue of any phase"
     best = maximum_likelihood_from(measured, model, model.start_of(transfer_start(measured)), name)
@@ -188,14 +188,14 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     """
     measured.dof(len(model.names))
     problem = OutputError.of(measured, model)
-    return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearised), name)
+    return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearise), name)
 
 
 def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
     n_parameter, dof = len(model.names), measured.dof(len(model.names))
-    linear = problem.linearised(best.values)
+    linear = problem.linearise(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)
     r2, adjusted = determination(measured.matrix, residual, n_parameter)
@@ -248,7 +248,7 @@ def assess(
     *linear*: the linearisation there, where it is at hand. Corrections for weights and shared noise as in
     `weights`. *stated*: numbers that chi-square allows for. Equation (est-unweighted).
     """
-    linear = linear or problem.linearised(values)
+    linear = linear or problem.linearise(values)
     inverse, squares, dof = inverse_of(linear), linear.chi2, linear.n_equation - values.size
     if not has_noise(measured):
         if measured.line_noise is None:
@@ -279,7 +279,7 @@ def _best_minimum(
 ) -> tuple[Minimum, Start]:
     minima: list[tuple[float, Minimum, Start]] = []
     for start in starts(problem, p_value):
-        minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearised)
+        minimum = minimise(problem, start.values, most_steps=most_steps, linearise=problem.linearise)
         minima.append((problem.chi2(minimum.values), minimum, start))
         suspect = p_value is not None and p_value(minima[-1][0]) < SUSPECT_P
         if minimum.converged and not suspect:

@@ -286,7 +286,7 @@ def form_view(form: str, settings: FitSettings) -> FormView:
     return FormView(form)
 
 
-def base_excited(setup: Setup) -> DynamicModel:
+def base_excited_model(setup: Setup) -> DynamicModel:
     """(k + j w c - w^2 m) (T - 1) / w^2 = m; without a mass k / m and c / m, since a transmissibility knows
     no more. ConfigError for several responses or bases, or for a mass that is none. Equation (frf-base).
     """
@@ -307,4 +307,4 @@ def base_excited(setup: Setup) -> DynamicModel:
     return DynamicModel(BASE, tuple(per_mass), fixed_matrices(unit, unit))
 
 
-BASE_EXCITED = linear_kind(base_excited, "relative", one_mode=True, of_base=True)
+BASE_EXCITED = linear_kind(base_excited_model, "relative", one_mode=True, of_base=True)

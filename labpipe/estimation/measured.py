@@ -151,10 +151,10 @@ def measured_part(
         what = f"the line at 0 Hz of a {response.form} has no receptance"
         raise FitError(what, hint="begin the band above 0 Hz")
 
-    def chosen(values: ComplexArray) -> ComplexArray:
+    def choose(values: ComplexArray) -> ComplexArray:
         return values[lines][..., rows, :][..., columns]
 
-    matrix = (chosen(response.matrix) - view.offset) / factor[:, None, None]
+    matrix = (choose(response.matrix) - view.offset) / factor[:, None, None]
     outputs = tuple(response.outputs[row] for row in rows)
     inputs = tuple(response.inputs[column] for column in columns)
     still = [port.label for row, port in enumerate(outputs) if not np.any(matrix[:, row])]
@@ -173,7 +173,7 @@ def measured_part(
     correlation = np.array(response.line_correlation, np.complex128)
     real, gains = response.line_gains is None and not np.any(correlation.imag), None
     if response.line_gains is not None:
-        gains = chosen(response.line_gains).reshape(numbers.size, -1, len(elements))
+        gains = choose(response.line_gains).reshape(numbers.size, -1, len(elements))
     blocks = response.blocks and response.blocks.of_forces(columns)
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
@@ -193,9 +193,9 @@ def measured_part(
         derivatives=_derivatives(response.form),
         offset=view.offset / np.real(factor) if view.offset else None,
         noise_of_channels=_noise_of_channels(response, rows, columns, lines),
-        change=None if response.change is None else chosen(response.change) / factor[:, None, None],
+        change=None if response.change is None else choose(response.change) / factor[:, None, None],
         errors=tuple(
-            replace(error, change=chosen(error.change) / factor[:, None, None]) for error in response.errors
+            replace(error, change=choose(error.change) / factor[:, None, None]) for error in response.errors
         ),
     )
 
@@ -215,7 +215,7 @@ def _chosen_covariance(
 ) -> StoredCovariance:
     stored = response.stored_covariance
     if isinstance(stored, BlockCovariance):
-        return stored.chosen(lines, index).times(np.tile(1 / factor[:, None], len(index)))
+        return stored.choose(lines, index).times(np.tile(1 / factor[:, None], len(index)))
     if response.covariance is None:
         return None
     whole = response.covariance[lines][:, index][:, :, index]

@@ -99,7 +99,7 @@ class _Judge:
     def minimum(self, problem: OutputError[ReceptanceModel], start: FloatArray) -> _Minimum | None:
         """The minimum from *start* (n_parameter,); None where there is none, or it cannot be judged."""
         try:
-            minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearised)
+            minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearise)
             if not minimum.converged:
                 return None
             assessed = assess(self.measured, self.model, problem, minimum.values, stated=self.stated)
@@ -169,22 +169,22 @@ def judge(
         return Judgement()
     minimum = judged.minimum(problem, estimate.values) if settings.estimates.phase else None
     if minimum is None:
-        return Judgement((NOT_JUDGED,)) if judged.factor is None else _by_factor(judged, estimate.gof)
+        return Judgement((NOT_JUDGED,)) if judged.factor is None else _judge_by_factor(judged, estimate.gof)
     if minimum.p_value >= MISMATCH_P:
-        return _by_bias(judged, minimum)
+        return _judge_by_bias(judged, minimum)
     if judged.explains(minimum, GROWING):
-        return _with_model_error(judged, minimum, OF_A_MODE) or _of_uneven_noise(judged, minimum, GROWING)
+        return _with_model_error(judged, minimum, OF_A_MODE) or _judge_uneven_noise(judged, minimum, GROWING)
     if judged.explains(minimum, LOCAL):
-        return _of_uneven_noise(judged, minimum, LOCAL)
+        return _judge_uneven_noise(judged, minimum, LOCAL)
     return (
-        _of_one_line(judged, minimum)
+        _judge_one_line(judged, minimum)
         or _with_model_error(judged, minimum)
         or _with_coefficient_error(judged, minimum)
-        or _by_excess(judged, minimum)
+        or _judge_by_excess(judged, minimum)
     )
 
 
-def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
+def _judge_by_bias(judged: _Judge, best: _Minimum) -> Judgement:
     """The model is right: what another estimator is away from ml is its bias."""
     estimate, estimator = judged.estimate, judged.settings.estimator
     away = best.values - estimate.values
@@ -201,7 +201,7 @@ def _by_bias(judged: _Judge, best: _Minimum) -> Judgement:
     return Judgement(judged.finding(text, "Use the estimator ml"), covariance)
 
 
-def by_lines(case: Case) -> Estimate:
+def errors_by_lines(case: Case) -> Estimate:
     """The estimate of ml with errors from the scatter of every line by itself, where the noise is unknown: if
     it grows with the response, its mean is too small where lines say most of damping. What lines share
     enlarges errors as it does those of even noise.
@@ -213,21 +213,21 @@ def by_lines(case: Case) -> Estimate:
     jacobian, residual = problem.jacobian(estimate.values), problem.residual(estimate.values)
     covariance = line_scatter(jacobian, residual, n_line, alone=True).covariance
     if measured.line_noise is not None:
-        inverse = inverse_of(problem.linearised(estimate.values))
+        inverse = inverse_of(problem.linearise(estimate.values))
         shared = shared_residual(measured.line_noise, complex_rows(jacobian, n_line), inverse)
         larger = np.sqrt(np.diag(shared.covariance) / np.diag(inverse))
         covariance = covariance * np.outer(larger, larger)
     return replace(estimate, covariance=covariance)
 
 
-def _of_uneven_noise(judged: _Judge, best: _Minimum, power: str) -> Judgement:
+def _judge_uneven_noise(judged: _Judge, best: _Minimum, power: str) -> Judgement:
     """Lines of different noise: the scatter of every line stands for its own noise."""
     measured, estimate = judged.measured, judged.estimate
     jacobian, residual = best.problem.jacobian(best.values), best.problem.residual(best.values)
     scatter = line_scatter(jacobian, residual, measured.omega.size, alone=True)
     limits = [student_limit(max(int(dof), 1)) / student_limit(estimate.dof) for dof in scatter.dof]
     covariance = measured.shared_noise * scatter.covariance * np.outer(limits, limits)
-    covariance = _with_distance(_not_below(covariance, estimate.covariance), best.values - estimate.values)
+    covariance = _with_distance(_raise_to(covariance, estimate.covariance), best.values - estimate.values)
     growth = f"{_growth(estimate, covariance)} since they come from the scatter of every line by itself"
     if power == LOCAL:
         text = f"the noise, which is not known, differs along the band: that explains the residual. {growth}"
@@ -240,7 +240,7 @@ def _of_uneven_noise(judged: _Judge, best: _Minimum, power: str) -> Judgement:
     return Judgement(judged.finding(text, cure), covariance)
 
 
-def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
+def _judge_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     """One line alone is off, as by a hum that repeats with the periods; None where others are as well."""
     measured, estimate = judged.measured, judged.estimate
     n_line = measured.omega.size
@@ -258,7 +258,7 @@ def _of_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
         return None
     alone, remedy = line_alone(float(measured.omega[line] / (2 * np.pi)))
     away = other.values - estimate.values
-    wide = _with_distance(_not_below(other.assessed.covariance, estimate.covariance), away)
+    wide = _with_distance(_raise_to(other.assessed.covariance, estimate.covariance), away)
     ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
     worst = int(np.argmax(ratios))
     text = (
@@ -286,10 +286,10 @@ def _with_model_error(judged: _Judge, best: _Minimum, causes: Sequence[str] = ()
     if error is None or (causes and sum(error.discrepancy.shares.get(cause, 0.0) for cause in causes) < 0.5):
         return None
     factor = max(float(np.max([error.growth_of(name) for name in error.rows])), 1.0)
-    return _stated(judged, best, error, "Values and intervals", factor)
+    return _state(judged, best, error, "Values and intervals", factor)
 
 
-def _stated(
+def _state(
     judged: _Judge, best: _Minimum, error: ModelError | CoefficientError, what: str, growth: float
 ) -> Judgement:
     text = (
@@ -307,7 +307,7 @@ def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:
     if best.assessed.reduced is not None:
         larger = float(np.max(np.diag(best.assessed.covariance) / np.diag(best.assessed.inverse)))
     error = coefficient_error(judged.measured, best.problem.model, best.values, weights, larger)
-    return None if error is None else _stated(judged, best, error, "Intervals", error.growth)
+    return None if error is None else _state(judged, best, error, "Intervals", error.growth)
 
 
 def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
@@ -324,13 +324,13 @@ def _noise_weights(judged: _Judge, best: _Minimum) -> Weights | None:
     )
 
 
-def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
+def _judge_by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     """The excess over the noise counts as noise; of unknown noise, neighbours that are alike count as one."""
     away = best.values - judged.estimate.values
     if best.structure is None:
         gof, assessed = judged.estimate.gof, best.assessed
         at_minimum = replace(gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
-        return _by_factor(judged, at_minimum if judged.factor is None else judged.estimate.gof, away)
+        return _judge_by_factor(judged, at_minimum if judged.factor is None else judged.estimate.gof, away)
     covariance = _with_distance(judged.measured.omega.size / 2 * best.assessed.covariance, away)
     text = (
         f"{_wording(best)}. {_growth(judged.estimate, covariance)} since the lines are too few to tell a "
@@ -339,7 +339,7 @@ def _by_excess(judged: _Judge, best: _Minimum) -> Judgement:
     return Judgement(judged.finding(text, "Use a model with more modes, or more lines"), covariance)
 
 
-def _by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) -> Judgement:
+def _judge_by_factor(judged: _Judge, gof: Goodness, away: FloatArray | None = None) -> Judgement:
     """The excess over the measured noise taken as noise, beside the distance *away* from ml."""
     assert gof.chi2_reduced is not None
     estimate, estimator = judged.estimate, judged.settings.estimator
@@ -368,7 +368,7 @@ def _with_distance(covariance: FloatArray, away: FloatArray) -> FloatArray:
     return covariance + np.outer(away, away)
 
 
-def _not_below(covariance: FloatArray, least: FloatArray) -> FloatArray:
+def _raise_to(covariance: FloatArray, least: FloatArray) -> FloatArray:
     ratio = np.sqrt(np.maximum(np.diag(least) / np.maximum(np.diag(covariance), np.finfo(float).tiny), 1.0))
     return covariance * np.outer(ratio, ratio)
 

@@ -47,7 +47,7 @@ class Curve:
         """j omega (n_line,) [rad/s]."""
         return 2j * np.pi * self.frequency
 
-    def weighted(self, rows: ComplexArray) -> FloatArray:
+    def weight(self, rows: ComplexArray) -> FloatArray:
         """sqrt(2) *rows* (..., n_line) / std, real before imaginary parts: (..., 2 n_line) [1]."""
         weight = 1 / self.std
         return np.sqrt(2) * np.concatenate([rows.real * weight, rows.imag * weight], axis=-1)
@@ -230,20 +230,20 @@ class ModeModel:
         value = jacobian[n:].T.copy() @ theta[n:] + (main if self.coefficients else 0.0)
         return value, jacobian, main
 
-    def started(self, q: FloatArray) -> FloatArray:
+    def start(self, q: FloatArray) -> FloatArray:
         """theta (n,) with the amplitudes of least chi-square for *q* (n_shape,) [1]."""
         n_amplitude = self.residual + (not self.coefficients) + self.has_second
         theta = np.concatenate([q, np.zeros(2 * n_amplitude)])
         value, jacobian, _ = self.at(theta)
-        weighted = self.curve.weighted
+        weighted = self.curve.weight
         rows, side = weighted(jacobian[self.n_shape :]), weighted(self.curve.values - value)
         return np.concatenate([q, np.linalg.lstsq(rows.T, side, rcond=None)[0]]) if n_amplitude else theta
 
-    def fitted(self, theta: FloatArray) -> Fitted:
+    def fit(self, theta: FloatArray) -> Fitted:
         """The ordinary fit, chi2 = 2 sum |y - h|^2 / s^2 [1], from *theta* (n,). FitError where there is no
         minimum.
         """
-        weighted, values = self.curve.weighted, self.curve.values
+        weighted, values = self.curve.weight, self.curve.values
 
         # The derivatives are asked for where the residual was asked for last.
         @lru_cache(1)
@@ -298,7 +298,7 @@ class Fitted:
     @property
     def covariance(self) -> FloatArray:
         """Of noise alone, of what the model keeps, (n_kept, n_kept) [1]: (2 Re J^H S^-2 J)^-1."""
-        rows = self.model.curve.weighted(self.at_minimum[1]).T.copy()
+        rows = self.model.curve.weight(self.at_minimum[1]).T.copy()
         scale = np.linalg.norm(rows, axis=0)
         inverse = np.linalg.inv((rows / scale).T @ (rows / scale)) / np.outer(scale, scale)
         return inverse[np.ix_(self.model.kept, self.model.kept)]
@@ -321,7 +321,7 @@ def moving_resonances(base: Fitted, laws: Sequence[str] = MOVED) -> Iterator[Fit
         best: Fitted | None = None
         for share in (0.3, 0.8):
             try:
-                fit = model.fitted(np.concatenate([base.theta[:n], [np.log(share * zeta)], base.theta[n:]]))
+                fit = model.fit(np.concatenate([base.theta[:n], [np.log(share * zeta)], base.theta[n:]]))
             except FitError:
                 continue
             if is_extension(base, model, fit.theta) and (best is None or fit.chi2 < best.chi2):
@@ -372,7 +372,7 @@ def second_mode(base: Fitted) -> Fitted | None:
     f_n, zeta = base.model.frequency_and_damping(base.theta)
     frequency, b = base.model.curve.frequency, half_width(base.model, base.theta)
     value, jacobian, _ = base.at_minimum
-    weighted = base.model.curve.weighted
+    weighted = base.model.curve.weight
     rows, side = weighted(jacobian).T, weighted(base.model.curve.values - value)
     basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
     places = np.linspace(frequency[0], frequency[-1], PLACES)
@@ -389,7 +389,7 @@ def second_mode(base: Fitted) -> Fitted | None:
     for i in chosen:
         q = np.concatenate([base.theta[:n], np.log([places[i], zeta])])
         try:
-            fits.append(_nearest_first(model.fitted(model.started(q)), f_n))
+            fits.append(_nearest_first(model.fit(model.start(q)), f_n))
         except FitError:
             continue
     fits = [fit for fit in fits if is_extension(base, model, fit.theta)]
@@ -423,4 +423,4 @@ def _nearest_first(fit: Fitted, f_n: float) -> Fitted:
         w, zeta = 2 * np.pi * np.exp(second[0]), np.exp(second[1])
         m = model.mass or 1 / (2 * w * abs(complex(*theta[-2:])))
         shape = np.log([m * w**2, 2 * zeta * m * w, m][:n])
-    return model.fitted(model.started(np.concatenate([shape, theta[n : model.n_shape - 2], first])))
+    return model.fit(model.start(np.concatenate([shape, theta[n : model.n_shape - 2], first])))

@@ -127,7 +127,7 @@ class ActingTerms:
         single = np.argmax(filled, axis=1) if np.all(np.sum(filled, axis=1) == 1) else None
         return cls(place, matrices, single, np.array_equal(matrices, np.eye(there.size)))
 
-    def combined(self, elements: ComplexArray) -> ComplexArray:
+    def combine(self, elements: ComplexArray) -> ComplexArray:
         """sum_e elements[..., e] matrices[e, p], (..., n_acting) [any unit], picked where terms have one."""
         if self.plain:
             return elements
@@ -163,13 +163,13 @@ class DynamicModel:
         """The parameters (n_parameter,) [parameter units], unchanged."""
         return values
 
-    def fixed(self, name: str, value: float = 0.0) -> DynamicModel:
+    def fix(self, name: str, value: float = 0.0) -> DynamicModel:
         """The model with one parameter fixed instead of estimated."""
         (term,) = (term for term in self.terms if term.name == name)
         others = tuple(other for other in self.terms if other is not term)
         return replace(self, terms=others, constant=self.constant.plus(term.matrices, value))
 
-    def tied(self, names: Sequence[str]) -> DynamicModel:
+    def tie(self, names: Sequence[str]) -> DynamicModel:
         """The model with one common value for several parameters, named after the first."""
         first, *others = (term for term in self.terms if term.name in names)
         common = first
@@ -227,13 +227,13 @@ class DynamicModel:
         for kind, factor in _line_factors(omega).items():
             acting = self.acting[kind]
             if acting is not None:
-                slopes[..., acting.place] -= acting.combined(outer) * factor[:, None, None, None]
+                slopes[..., acting.place] -= acting.combine(outer) * factor[:, None, None, None]
         acting = self.acting["force"]
         if acting is not None:
             moved = np.einsum("loa,pai->loip", inverse, acting.matrices.T.reshape(-1, n_dof, n_input))
             slopes[..., acting.place] += moved
 
-    def filtered(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
+    def filter(self, parameters: FloatArray, sides: ComplexArray, omega: FloatArray) -> ComplexArray:
         """Z^-1 times all *sides* (n_side, n_line, n_dof, n_input) [N]; of many, one inverse per line is
         cheaper than solving.
         """
@@ -408,7 +408,7 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
     """*model* with its `fixed` and `tied` settings applied; ConfigError for names the model does not have."""
     for name, value in settings.fixed:
         _check_names(model, name, "fixed")
-        model = model.fixed(name, value)
+        model = model.fix(name, value)
     for group in settings.tied:
         for name in group:
             _check_names(model, name, "tied")
@@ -416,7 +416,7 @@ def constrain(model: DynamicModel, settings: FitSettings) -> DynamicModel:
         if len(set(group)) < 2 or len(units) > 1:
             what = f"tied: {', '.join(group)} cannot have one value"
             raise ConfigError(what, hint="name two or more coefficients of one unit")
-        model = model.tied(group)
+        model = model.tie(group)
     if not model.terms:
         what = "every coefficient is fixed, so nothing is left to estimate"
         raise ConfigError(what, hint="shorten `fixed`")

@@ -16,7 +16,7 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import MOVED, SECOND, Curve, ModeModel
 from labpipe.estimation.model import DynamicModel, FittedModel
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import restated
+from labpipe.estimation.statistics import restate
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode
 from labpipe.records.finding import NORMAL, Discrepancy, IntervalParts, Parameter
 
@@ -90,10 +90,10 @@ class ModelError:
     def growth_of(self, name: str) -> float:
         """By how much the interval of a parameter exceeds that of noise [1]."""
         row = self.rows[name].row
-        _, low, high = self.mixture.stated(row)
+        _, low, high = self.mixture.stated_interval(row)
         return float((high - low) / (2 * NORMAL * np.sqrt(row @ self.mixture.noise @ row)))
 
-    def stated(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    def state(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
         """The parameters with means and intervals of the mixture, and std_error of noise; those that it does
         not tell keep their value, without an interval.
         """
@@ -105,7 +105,7 @@ class ModelError:
             return parameter
         if row is None:
             return replace(parameter, ci95=None, significant=None, t_ratio=None)
-        centre, low, high = (end + row.offset for end in self.mixture.stated(row.row))
+        centre, low, high = (end + row.offset for end in self.mixture.stated_interval(row.row))
         reason, apart = self.reason, self.apart.get(parameter.name)
         if apart is not None:
             # The interval holds either, but for a stated mass.
@@ -136,7 +136,7 @@ def with_model_error(
     """
     parts = IntervalParts(noise, float(np.sqrt(max(error**2 - noise**2, 0.0))))
     fitted = parameter.value
-    return restated(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted)
+    return restate(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted)
 
 
 def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:
@@ -190,7 +190,7 @@ def model_error(
     curve = Curve(measured.omega / (2 * np.pi), h / built.force, std / abs(built.force))
     try:
         placed = replace(built.mode, curve=thin(curve, built.mode, built.start))
-        return ModelError(mixture(placed.fitted(placed.started(built.start))), built.rows)
+        return ModelError(mixture(placed.fit(placed.start(built.start))), built.rows)
     except (FitError, np.linalg.LinAlgError):
         return None
 

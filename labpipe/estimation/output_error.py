@@ -19,8 +19,8 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.estimation.damping import FactorModel
-from labpipe.estimation.descent import Linearisation, SquareSum, linearised, triangle_of_products
-from labpipe.estimation.leakage import expected
+from labpipe.estimation.descent import Linearisation, SquareSum, linearise_problem, triangle_of_products
+from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import CACHED_ELEMENTS, ActingTerms, DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.weights import (
@@ -29,7 +29,7 @@ from labpipe.estimation.weights import (
     fit_weights,
     is_short,
     short_weights,
-    whitened,
+    whiten_values,
     whitened_columns,
 )
 
@@ -79,7 +79,7 @@ def normal_equations(
         if isinstance(weights, ProductWeights):
             here = weights.at(lines)
             inverse, response = here.outputs @ inverse, response @ here.inputs.swapaxes(1, 2)
-            residual = here.whitened(residual)
+            residual = here.whiten(residual)
             power = np.full(residual.shape, 2.0)
         else:
             power = 2 * np.abs(weights[lines].reshape(residual.shape)) ** 2
@@ -139,7 +139,7 @@ def _gather(model: DynamicModel, kinds: list[str], sums: dict[int, ComplexArray]
         acting, other_acting = model.acting[first], model.acting[other]
         assert acting is not None and other_acting is not None
         # Re of conj(matrices)^T elements matrices: those of a loss factor are imaginary.
-        combined = acting.combined(other_acting.combined(elements).T.conj()).T.real
+        combined = acting.combine(other_acting.combine(elements).T.conj()).T.real
         products[_block(acting, other_acting)] += combined
         if first != other:
             products[_block(other_acting, acting)] += combined.T
@@ -174,7 +174,7 @@ def _project(model: DynamicModel, sides: dict[str, ComplexArray]) -> FloatArray:
     for kind, side in sides.items():
         acting = model.acting[kind]
         assert acting is not None
-        projected[acting.place] += acting.combined((np.conj(FACTORS[kind][0]) * side).conj()).real
+        projected[acting.place] += acting.combine((np.conj(FACTORS[kind][0]) * side).conj()).real
     return projected
 
 
@@ -194,16 +194,16 @@ class OutputError(SquareSum, Generic[Model]):
     @classmethod
     def of(cls, measured: Measured, model: Any) -> OutputError[Any]:
         """Of a *model* as the data show it, weighted by their noise; FitError as of fit_weights."""
-        return OutputError(measured, expected(measured, model), fit_weights(measured))
+        return OutputError(measured, expected_model(measured, model), fit_weights(measured))
 
     @property
     def size(self) -> float:
         """Norm of the whitened measured FRF."""
-        return float(np.linalg.norm(self.whitened(self.measured.matrix)))
+        return float(np.linalg.norm(self.whiten(self.measured.matrix)))
 
-    def whitened(self, values: ComplexArray) -> FloatArray:
+    def whiten(self, values: ComplexArray) -> FloatArray:
         """FRFs (..., n_line, n_output, n_input) [m/N] whitened to real equations (..., n_equation) [1]."""
-        return whitened(self.weights, values)
+        return whiten_values(self.weights, values)
 
     @cached_property
     def weights(self) -> Weights:
@@ -212,14 +212,14 @@ class OutputError(SquareSum, Generic[Model]):
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Whitened residual (n_equation,) [1], of variance 1 for a correct model."""
-        return self.whitened(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
+        return self.whiten(self.measured.matrix - self.model.receptance(parameters, self.measured.omega))
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
         """d residual / d p, (n_equation, n_parameter) [1 per parameter unit]."""
         columns = whitened_columns(self.weights, self.model.jacobian(parameters, self.measured.omega))
         return np.negative(columns, out=columns)
 
-    def linearised(self, parameters: FloatArray) -> Linearisation:
+    def linearise(self, parameters: FloatArray) -> Linearisation:
         """The linearisation at *parameters* (n_parameter,) [parameter units], by line products if exact."""
         model: Any = self.model
         values, slopes = parameters, np.eye(parameters.size)
@@ -232,7 +232,7 @@ class OutputError(SquareSum, Generic[Model]):
                 scale, triangle = factor
                 projected = np.linalg.solve(triangle.T, (slopes.T @ equations.projected) / scale)
                 return Linearisation(triangle, projected, scale, equations.square, self.measured.n_equation)
-        return linearised(self, parameters)
+        return linearise_problem(self, parameters)
 
     def _normal_equations(self, model: DynamicModel, parameters: FloatArray) -> NormalEquations:
         measured, force = self.measured, model.whole(parameters).force

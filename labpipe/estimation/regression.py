@@ -17,7 +17,7 @@ from labpipe.estimation import statistics
 from labpipe.estimation.descent import Linearisation, scaled_triangle
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel
-from labpipe.estimation.weights import complex_rows, has_noise, weight_uncertainty, whitened, whitener
+from labpipe.estimation.weights import complex_rows, has_noise, weight_uncertainty, whiten_values, whitener
 from labpipe.records.identification import Goodness
 
 BIAS_NOTE = (
@@ -149,7 +149,9 @@ def output_chi_square(
         return None, None
     try:
         uncertainty = weight_uncertainty(measured, dof)
-        residual = whitened(whitener(measured), measured.matrix - model.receptance(values, measured.omega))
+        residual = whiten_values(
+            whitener(measured), measured.matrix - model.receptance(values, measured.omega)
+        )
     except FitError:
         return None, None
     reduced = float(residual @ residual) / dof / uncertainty.excess

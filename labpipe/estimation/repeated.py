@@ -21,16 +21,16 @@ from labpipe.estimation.repeats import (
     drifts,
     follows,
     groups_of,
-    in_groups,
+    groups_text,
     kept_repeats,
     mean_of_groups,
     repeat_mean,
 )
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import restated, student_limit
+from labpipe.estimation.statistics import restate, student_limit
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.identification import Fit, FittedCurve
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, diagonal_covariance
 
 # Quantities that no gain changes, whose scatter is known from measured structures.
 FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
@@ -83,7 +83,7 @@ class _Test:
             raise FitError("its fit does not converge")
         return fits
 
-    def named(self, name: str) -> str:
+    def name_of(self, name: str) -> str:
         """One of them, as a sentence begins with it."""
         return f"recording '{name}'" if self.response.repeats_are == "recordings" else name
 
@@ -93,7 +93,7 @@ class _Test:
         return None if levels is None or not np.all(levels > 0) else levels[list(places)]
 
 
-def over_repeats(
+def mean_over_repeats(
     pooled: tuple[Fit, ...], response: FrequencyResponse, settings: FitSettings, fitting: Fitting
 ) -> tuple[Fit, ...]:
     """The fits with their parameters as means over the recordings, or the hits, of a *response*.
@@ -110,7 +110,7 @@ def over_repeats(
         try:
             fits = test.alone(place)
         except FitError as error:
-            named = test.named(response.repeat_names[place])
+            named = test.name_of(response.repeat_names[place])
             failed.append(note("repeat-left-out", f"{named} is left out: {error.what}"))
             continue
         if len(fits) == len(pooled):
@@ -118,12 +118,12 @@ def over_repeats(
     pooled = tuple(replace(fit, findings=(*fit.findings, *failed)) for fit in pooled)
     if len(repeats) < 2:
         return pooled
-    pooled = tuple(_without_scatter(fit, response) for fit in pooled)
+    pooled = tuple(_drop_scatter(fit, response) for fit in pooled)
     by_fit = zip(pooled, zip(*repeats.values(), strict=True), strict=True)
-    return tuple(_over(fit, tuple(repeats), of_fit, test) for fit, of_fit in by_fit)
+    return tuple(_mean_over(fit, tuple(repeats), of_fit, test) for fit, of_fit in by_fit)
 
 
-def _without_scatter(pooled: Fit, response: FrequencyResponse) -> Fit:
+def _drop_scatter(pooled: Fit, response: FrequencyResponse) -> Fit:
     """The fit without that part of systematic errors that differs from repeat to repeat, since their scatter
     holds it.
     """
@@ -132,7 +132,7 @@ def _without_scatter(pooled: Fit, response: FrequencyResponse) -> Fit:
     left |= {c.uncertainty.source: 1 - c.shown for c in calibrations if c.shown}
     if not left or (budget := pooled.budget) is None:
         return pooled
-    budget = budget.enlarged(left)
+    budget = budget.enlarge(left)
     kept = [number for number, source in enumerate(budget.sources) if source.std_error > 0]
     sources = tuple(budget.sources[number] for number in kept)
     budget = replace(budget, sources=sources, changes=budget.changes[kept], drawn=None)
@@ -189,7 +189,7 @@ class RepeatValues:
         return cls(values, errors**2, False)
 
 
-def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
+def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Test) -> Fit:
     recordings = [test.response.repeat_names[place] for place in places]
     by_name = [{parameter.name: parameter for parameter in fit.parameters} for fit in repeats]
     names = [p.name for p in pooled.parameters if all(_usable(of.get(p.name)) for of in by_name)]
@@ -251,7 +251,7 @@ def _over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test: _Tes
 
 
 @dataclass(frozen=True)
-class _Course:
+class _Covariate:
     """What values follow, *of* LEVEL or ORDER: the *covariate* (n_used,) [1], 0 where stated, *at*."""
 
     of: str
@@ -261,7 +261,7 @@ class _Course:
 
 def _course(
     levels: FloatArray | None, judged: Sequence[RepeatValues], groups: Sequence[str]
-) -> tuple[Kept, _Course | None]:
+) -> tuple[Kept, _Covariate | None]:
     """Which repeats are used, and what *judged* follows: their *levels* (n,) over the middle one less 1, else
     their order, from -1/2 to 1/2; None where neither, or of named *groups*.
     """
@@ -275,9 +275,9 @@ def _course(
     chosen = [(of.values[kept.used], of.variances[kept.used]) for of in judged]
     of_level, order = covariate[kept.used], np.linspace(-0.5, 0.5, len(values))[kept.used]
     if any(follows(*of, of_level) for of in chosen):
-        return kept, _Course(LEVEL, of_level, middle)
+        return kept, _Covariate(LEVEL, of_level, middle)
     if any(drifts(*of, order) for of in chosen):
-        return kept, _Course(ORDER, order, (len(values) + 1) / 2)
+        return kept, _Covariate(ORDER, order, (len(values) + 1) / 2)
     return kept, None
 
 
@@ -337,7 +337,7 @@ def _align(
     smooth = np.array(columns).T.reshape(shape) * shape[0] / max(shape[0] - 4, 1)
     if not np.all(smooth > 0):
         return None
-    matrix, covariance = pooled.fitted + mean, uncorrelated(smooth)
+    matrix, covariance = pooled.fitted + mean, diagonal_covariance(smooth)
     aligned = FrequencyResponse(pooled.frequency, matrix, outputs, inputs, covariance=covariance)
     return replace(aligned, form=response.form, name=response.name)
 
@@ -390,7 +390,7 @@ def stated_mean(
     scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
     full = max(full, float(np.hypot(scatter, error)))
     return replace(
-        restated(parameter, value, full, interval, std_error=error),
+        restate(parameter, value, full, interval, std_error=error),
         interval=IntervalParts(error, repeats=scatter, systematic=systematic),
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
@@ -399,11 +399,11 @@ def stated_mean(
     )
 
 
-def _wording(used: int, groups: Sequence[str], test: _Test, course: _Course | None) -> str:
+def _wording(used: int, groups: Sequence[str], test: _Test, course: _Covariate | None) -> str:
     response = test.response
     recorded, what = len(response.repeat_names), response.repeats_are
     over = f"{used} {what}" if used == recorded else f"{used} of {recorded} {what}"
-    over += in_groups(groups)
+    over += groups_text(groups)
     level = ""
     if course is not None and course.of == LEVEL:
         size = f"{'a peak' if what == 'hits' else 'an r.m.s.'} of {course.at:.3g} [SI]"
@@ -420,7 +420,7 @@ def _wording(used: int, groups: Sequence[str], test: _Test, course: _Course | No
 
 
 def _findings(
-    names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test, course: _Course | None
+    names: Sequence[str], kept: Kept, means: Mapping[str, RepeatMean], test: _Test, course: _Covariate | None
 ) -> list[Finding]:
     what = test.response.repeats_are
     if kept.two_populations:
@@ -434,7 +434,7 @@ def _findings(
     findings = [
         note(
             "repeat-left-out",
-            f"{test.named(name)} is left out: its frequency or damping stands out"
+            f"{test.name_of(name)} is left out: its frequency or damping stands out"
             + (step if name in (names[0], names[-1]) else ""),
         )
         for name, is_used in zip(names, kept.used, strict=True)

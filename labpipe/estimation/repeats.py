@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.statistics import bisected, mixture_interval, student_limit
+from labpipe.estimation.statistics import bisect, mixture_interval, student_limit
 
 # Below this number of repeats none can stand out, below the second more is asked for.
 LEAST_FOR_OUTLIERS, FEW = 5, 8
@@ -205,7 +205,7 @@ def paule_mandel(values: FloatArray, variances: FloatArray, columns: FloatArray)
     high = 10 * float(np.var(values)) + np.finfo(float).tiny
     if freedom <= 0 or excess(0.0) <= 0:
         return 0.0
-    return bisected(lambda square: excess(square) > 0, 0.0, high)
+    return bisect(lambda square: excess(square) > 0, 0.0, high)
 
 
 def random_effects(
@@ -237,7 +237,7 @@ def groups_of(patterns: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
     return tuple(groups)
 
 
-def in_groups(patterns: Sequence[str]) -> str:
+def groups_text(patterns: Sequence[str]) -> str:
     """How a note goes on behind what the mean is over, where *patterns* name groups."""
     listed = ", ".join(patterns)
     return f" in the groups {listed}, the mean of each of which is one repeat" if patterns else ""

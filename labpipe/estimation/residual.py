@@ -48,9 +48,9 @@ def line_scatter(
     dependent columns. Equation (est-line-scatter).
     """
     orthogonal, triangle = np.linalg.qr(jacobian)
-    by_line = _by_line(orthogonal, n_line)
+    by_line = _split_by_line(orthogonal, n_line)
     leverage = by_line @ by_line.swapaxes(1, 2)
-    scatter = jackknife_residual(leverage, _by_line(residual[:, None], n_line))
+    scatter = jackknife_residual(leverage, _split_by_line(residual[:, None], n_line))
     to_parameters = np.linalg.inv(triangle)
     shares = (by_line.swapaxes(1, 2) @ scatter)[:, :, 0] @ to_parameters.T
     # Bartlett's weights.
@@ -71,7 +71,7 @@ def jackknife_residual(leverage: FloatArray, residual: FloatArray) -> FloatArray
     return np.linalg.solve(np.eye(leverage.shape[1]) - leverage, residual)
 
 
-def _by_line(columns: FloatArray, n_line: int) -> FloatArray:
+def _split_by_line(columns: FloatArray, n_line: int) -> FloatArray:
     n = columns.shape[1]
     return columns.reshape(2, n_line, -1, n).swapaxes(0, 1).reshape(n_line, -1, n)
 
@@ -194,7 +194,7 @@ def _draw(n_line: int, n_element: int, n_draw: int, shared: SharedNoise | None) 
     rng = np.random.default_rng(n_line)
     if shared is None:
         return rng.standard_normal((2 * n_line * n_element, n_draw))
-    noise = shared.drawn(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
+    noise = shared.draw(rng, n_element, n_draw).reshape(n_line * n_element, n_draw)
     return np.concatenate([noise.real, noise.imag])
 
 

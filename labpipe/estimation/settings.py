@@ -247,7 +247,7 @@ class FitSettings(Settings):
         able = kind.estimators or [name for name, by in every.items() if kind.one_frf or not by.one_frf]
         if self.estimator not in able:
             what = f"{self.estimator} does not estimate model {self.model}"
-            raise SettingError("estimator", what, f"estimator: {_one_of(able)}")
+            raise SettingError("estimator", what, f"estimator: {_alternatives_text(able)}")
         for key in self.written:
             if key not in (*EVERY, *kind.keys):
                 hint = f"leave it out; models that take it: {', '.join(takers(key))}"
@@ -259,7 +259,9 @@ class FitSettings(Settings):
                 and (every[name].likelihood or key not in kind.by_likelihood)
             ]
             if self.estimator not in others:
-                hint = f"leave it out, or estimator: {_one_of(others)}" if others else "leave it out"
+                hint = (
+                    f"leave it out, or estimator: {_alternatives_text(others)}" if others else "leave it out"
+                )
                 raise SettingError(key, f"'{key}' is not for estimator {self.estimator}", hint)
 
     def _check_combinations(self) -> None:
@@ -357,5 +359,5 @@ def models_text(key: str) -> str:
     return "" if len(able) == len(tuple(MODELS)) else f" (models {', '.join(able)})"
 
 
-def _one_of(names: Sequence[str]) -> str:
+def _alternatives_text(names: Sequence[str]) -> str:
     return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)

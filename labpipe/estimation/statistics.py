@@ -64,7 +64,7 @@ def student_limit(dof: int) -> float:
     return student_quantile(0.975, max(dof, 1))
 
 
-def estimated(
+def appraise(
     name: str, unit: str, value: float, std_error: float, dof: int, vif: float | None, derived: bool = False
 ) -> Parameter:
     """An estimated parameter with t-ratio, 95 % interval and significance. Equation (est-interval)."""
@@ -89,7 +89,7 @@ def widen(parameter: Parameter, factor: float) -> Parameter:
     return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
 
 
-def restated(
+def restate(
     parameter: Parameter, value: float, error: float, ci95: tuple[float, float], **others: Any
 ) -> Parameter:
     """The parameter with another *value*, full standard *error* and interval *ci95* [all its unit], with
@@ -151,7 +151,7 @@ def stacked_terms(terms: ComplexArray) -> FloatArray:
     return rows.reshape(terms.shape[0], -1)
 
 
-def bisected(is_below: Callable[[float], bool], low: float, high: float) -> float:
+def bisect(is_below: Callable[[float], bool], low: float, high: float) -> float:
     """Where *is_below* ends to hold between *low* and *high* [any unit], to the last digit."""
     while low < (middle := (low + high) / 2) < high:
         low, high = (middle, high) if is_below(middle) else (low, middle)
@@ -172,7 +172,7 @@ def mixture_interval(weights: FloatArray, means: FloatArray, deviations: FloatAr
     for p in (0.025, 0.975):
         of_each = means + special.ndtri(p) * deviations
         low, high = float(np.min(of_each)) - margin, float(np.max(of_each)) + margin
-        ends.append(bisected(functools.partial(is_below, p), low, high))
+        ends.append(bisect(functools.partial(is_below, p), low, high))
     return ends[0], ends[1]
 
 

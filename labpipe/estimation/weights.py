@@ -38,7 +38,7 @@ class ProductWeights:
         """The weights of some *lines*."""
         return ProductWeights(self.outputs[lines], self.inputs[lines])
 
-    def whitened(self, values: ComplexArray) -> ComplexArray:
+    def whiten(self, values: ComplexArray) -> ComplexArray:
         """FRFs (..., n_line, n_output, n_input) [m/N] uncorrelated and of variance 1, same shape [1]."""
         return self.outputs @ values @ self.inputs.swapaxes(1, 2)
 
@@ -317,13 +317,13 @@ def _is_singular(smallest: FloatArray, n: int) -> BoolArray:
     return smallest < SINGULAR_ROUNDINGS * n * np.finfo(float).eps
 
 
-def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
+def whiten_values(whitener: Weights, values: ComplexArray) -> FloatArray:
     """FRFs (..., n_line, n_output, n_input) [m/N] as uncorrelated real equations (..., n_equation) [1] of
     variance 1. Equation (est-whitened).
     """
     flat, whitener = values.reshape(*values.shape[:-2], -1), short_weights(whitener)
     if isinstance(whitener, ProductWeights):
-        white = whitener.whitened(values)
+        white = whitener.whiten(values)
     elif whitener.ndim == 2:
         white = flat * whitener
     else:
@@ -333,7 +333,7 @@ def whitened(whitener: Weights, values: ComplexArray) -> FloatArray:
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
-    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as by `whitened`, as
+    """Terms (n_term, n_line, n_output, n_input) [m/N per unit of the term] whitened as by `whiten_values`, as
     columns (n_equation, n_term).
     """
     n_term, n_line, n = terms.shape[0], terms.shape[1], terms.shape[2] * terms.shape[3]

@@ -25,7 +25,7 @@ from labpipe.artefacts.identification_file import NAME as IDENTIFICATION, read_i
 from labpipe.artefacts.parquet import header_of
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import is_remote, output_file, path_of, show
-from labpipe.errors import ConfigError, DataError, cut
+from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project.crate import EXPERIMENT, NAME, Contents, Listed, Member, metadata, read_metadata
 from labpipe.project.identify import rig_entry, settings_entry
 from labpipe.project.marked_yaml import Marked, load_marked
@@ -33,7 +33,7 @@ from labpipe.project.measured import files_of_test
 from labpipe.project.one_test import change_day, files_of
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.report import COMMENTS, drawn_from, is_drawn
-from labpipe.project.verification import artefacts_below, verified
+from labpipe.project.verification import artefacts_below, verify_artefacts
 from labpipe.records.identification import Identification
 
 # The two folders in that of an archive.
@@ -50,7 +50,7 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
     """
     identification = read_identification(folder / IDENTIFICATION)
     _check_same(identification, pipeline, folder)
-    for artefact in verified(folder, pipeline.folder):
+    for artefact in verify_artefacts(folder, pipeline.folder):
         if artefact.faults:
             raise DataError(artefact.faults[0], artefact.path, "run `labpipe run` again")
     names = _names_of_result(folder, identification, pipeline)
@@ -285,11 +285,11 @@ class Opened:
                 while chunk := stream.read(CHUNK):
                     yield chunk
         except DAMAGE as error:
-            raise DamagedError(f"is damaged ({cut(str(error))})", self.path) from None
+            raise DamagedError(f"is damaged ({shorten(str(error))})", self.path) from None
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Opened]:
+def open_archive(path: Path) -> Iterator[Opened]:
     """An archive to be read. DataError for no ZIP, for names that lead out of it, and without metadata."""
     if not path.is_file():
         what = "is not a regular file" if path.exists() else "no such file"
@@ -297,7 +297,7 @@ def opened(path: Path) -> Iterator[Opened]:
     try:
         archive = zipfile.ZipFile(path)
     except DAMAGE as error:
-        what = f"is not a ZIP file, or a damaged one ({cut(str(error))})"
+        what = f"is not a ZIP file, or a damaged one ({shorten(str(error))})"
         raise DataError(what, path, "have it sent again") from None
     with archive:
         members: dict[str, zipfile.ZipInfo] = {}
@@ -308,7 +308,7 @@ def opened(path: Path) -> Iterator[Opened]:
         for name in members:
             for above in map(str, PurePosixPath(name).parents):
                 if above in members:
-                    raise DataError("is a file and a folder", f"{path}: {cut(above)!r}", NOT_OURS)
+                    raise DataError("is a file and a folder", f"{path}: {shorten(above)!r}", NOT_OURS)
         around = _around(members, path)
         members = {name.removeprefix(around): info for name, info in members.items()}
         yield Opened(path, archive, members, _metadata(archive, members.pop(NAME), path))
@@ -327,7 +327,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
         what = "is there twice"
     else:
         return
-    raise DataError(what, f"{path}: {cut(name)!r}", NOT_OURS)
+    raise DataError(what, f"{path}: {shorten(name)!r}", NOT_OURS)
 
 
 def _around(members: dict[str, zipfile.ZipInfo], path: Path) -> str:
@@ -345,7 +345,9 @@ def _metadata(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> by
     try:
         return archive.read(info)
     except DAMAGE as error:
-        raise DataError(f"is damaged ({cut(str(error))})", f"{path}: {NAME}", "have it sent again") from None
+        raise DataError(
+            f"is damaged ({shorten(str(error))})", f"{path}: {NAME}", "have it sent again"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -363,7 +365,7 @@ class Unpacked:
 
 def unpack(path: Path, folder: Path) -> Unpacked:
     """Unpack an archive into a folder; DataError where it cannot be read as one."""
-    with opened(path) as archive:
+    with open_archive(path) as archive:
         crate = read_metadata(archive.metadata, f"{path}: {NAME}")
         listed = {file.name: file for file in crate.files}
         faults = [(name, "is not listed among the metadata") for name in archive.members.keys() - listed]

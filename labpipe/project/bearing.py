@@ -14,7 +14,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.json_file import without_nan
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties, bearing_uncertainties
-from labpipe.project.bearing_file import BearingFile, Sweep, setting_at
+from labpipe.project.bearing_file import BearingFile, BearingSweep, setting_at
 from labpipe.project.marked_yaml import set_entry
 from labpipe.quantities import display_unit, to_display
 from labpipe.raw_files.frf_csv import write_frf_csv
@@ -94,15 +94,15 @@ def _curve(
 ) -> Series:
     dofs, factor = swept[0].dofs, scale_of(swept[0].unit(*entry))
 
-    def over_sweep(name: str) -> FloatArray:
+    def sweep_values(name: str) -> FloatArray:
         return factor * np.array([getattr(bearing, name)[entry] for bearing in swept])
 
     ends = (end for bearing in swept for end in (bearing.lowest, bearing.highest))
     ranged = kind == "stiffness" and all(end is not None for end in ends)
-    band = (over_sweep("lowest"), over_sweep("highest")) if ranged else None
+    band = (sweep_values("lowest"), sweep_values("highest")) if ranged else None
     title = f"{'k' if kind == 'stiffness' else 'c'} {dofs[entry[0]]},{dofs[entry[1]]}"
     line = DASHES[number % len(DASHES)]
-    return curve(title, values, over_sweep(kind), number % PALETTE_SIZE, line, width=1.5, band=band)
+    return curve(title, values, sweep_values(kind), number % PALETTE_SIZE, line, width=1.5, band=band)
 
 
 SCHEMA = "labpipe/bearing/1"
@@ -122,7 +122,7 @@ def evaluate(file: BearingFile) -> Evaluated:
     return whole
 
 
-def swept(file: BearingFile, sweep: Sweep) -> list[Evaluated]:
+def swept(file: BearingFile, sweep: BearingSweep) -> list[Evaluated]:
     """The coefficients at every value of the sweep, without the uncertainty of the swept entry itself."""
     entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
     return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])
@@ -234,7 +234,7 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
     return names
 
 
-def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
+def write_sweep(name: str, sweep: BearingSweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
     from labpipe.document.charts import svg_file
 
@@ -250,7 +250,7 @@ def write_sweep(name: str, sweep: Sweep, points: list[Evaluated], output: Output
     return ["sweep.csv", *(f"sweep-{kind}.svg" for kind in figures)]
 
 
-def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
+def sweep_columns(sweep: BearingSweep, points: list[Evaluated]) -> dict[str, Any]:
     """Title -> values: the swept entry, k_i_j and c_i_j (where there is damping), shares, rest position, with
     uncertainties u_k_i_j and u_c_i_j, and the codes of the warnings.
     """
@@ -259,7 +259,7 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
     for symbol, attribute in (("k", "stiffness"), ("c", "damping")):
         matrices = np.stack([getattr(point, attribute) for point in coefficients])
         if symbol == "k" or matrices.any():
-            columns |= _by_element(symbol, coefficients[0], matrices)
+            columns |= _name_elements(symbol, coefficients[0], matrices)
     for prefix, attribute in (("share_", "shares"), ("", "rest")):
         for number, amount in enumerate(getattr(coefficients[0], attribute)):
             values = [getattr(point, attribute)[number].value for point in coefficients]
@@ -268,12 +268,12 @@ def sweep_columns(sweep: Sweep, points: list[Evaluated]) -> dict[str, Any]:
     for symbol, attribute in (("u_k", "stiffness"), ("u_c", "damping")):
         errors = np.array([point.error(attribute) for point in uncertainties])
         if uncertainties and (symbol == "u_k" or errors.any()):
-            columns |= _by_element(symbol, coefficients[0], errors)
+            columns |= _name_elements(symbol, coefficients[0], errors)
     columns["warnings"] = [" ".join(finding.code for finding in point.findings) for point in coefficients]
     return columns
 
 
-def _by_element(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
+def _name_elements(symbol: str, first: BearingCoefficients, matrices: FloatArray) -> dict[str, FloatArray]:
     kind = "damping" if symbol.endswith("c") else "stiffness"
     return {
         f"{symbol}_{row}_{column} [{first.unit(i, j, kind)}]": matrices[:, i, j]

@@ -11,9 +11,9 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
-from labpipe.errors import ConfigError, located
+from labpipe.errors import ConfigError, locate_errors
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
-from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
+from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
 from labpipe.quantities import UnitError, is_number, parse_value
 from labpipe.records.settings import FileKind, Setting, settings_of
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain, split_uncertainty
@@ -54,7 +54,7 @@ class BearingFile:
 
     def coefficients(self, settings: list[Any]) -> list[BearingCoefficients]:
         """The coefficients of every settings; errors say which file."""
-        with located(self.path):
+        with locate_errors(self.path):
             return self.kind.coefficients(settings)
 
 
@@ -91,7 +91,7 @@ def taken_uncertainties(
         if declared.section is not None:
             uncertainties |= taken_uncertainties(entry, kind, join(key, name), declared.section, faults)
             continue
-        entry = in_one_line(entry, declared.kind)
+        entry = shorten_number(entry, declared.kind)
         if declared.kind != "value" or not is_uncertain(entry.text):
             continue
         value, uncertainty = split_uncertainty(entry.text)
@@ -129,7 +129,7 @@ MAX_VALUES = 20_000
 
 
 @dataclass(frozen=True)
-class Sweep:
+class BearingSweep:
     """Key of the swept entry, its values (n_value,) [SI unit]."""
 
     key: str
@@ -141,7 +141,7 @@ class Sweep:
         return f"{self.key} [{self.unit}]"
 
 
-def parse_sweep(text: str, owner: type) -> Sweep:
+def parse_sweep(text: str, owner: type) -> BearingSweep:
     """The sweep of an entry of the settings dataclass *owner*; numbers without a unit have the last one's, or
     the SI unit. ConfigError for an entry that cannot be swept, unreadable numbers, and a step that does not
     lead from start to stop.
@@ -169,7 +169,7 @@ def parse_sweep(text: str, owner: type) -> Sweep:
     number = int((stop - start) / step * (1 + 1e-12) + 1e-9) + 1
     if number > MAX_VALUES:
         raise ConfigError(f"{number} values are too many", where, f"at most {MAX_VALUES}")
-    return Sweep(key, unit, start + step * np.arange(number))
+    return BearingSweep(key, unit, start + step * np.arange(number))
 
 
 def _swept_keys(owner: type, above: str = "") -> list[tuple[str, Setting]]:

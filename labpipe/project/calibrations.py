@@ -58,7 +58,7 @@ def channel_uncertainties(
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _sensitivity_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     yield from written.certified
     text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
     if "#" in text:
@@ -67,10 +67,10 @@ def _of_sensitivity(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
         source, size = f"sensitivity {text}", abs(slope.std_error / slope.value)
         yield uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, size, "1", slope.dof))
     if uncertainty:
-        yield _of_channel(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
+        yield _channel_uncertainty(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
 
-def _of_channel(
+def _channel_uncertainty(
     written: Written, effect: str, number: uncertain.Uncertain, source: str
 ) -> uncertain.ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
@@ -84,26 +84,33 @@ def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
     return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
 
 
-def _of_delay(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _delay_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     if (number := dict(written.uncertainties).get("delay")) is not None:
-        yield _of_channel(written, "delay", number, f"delay {1e6 * number.value:g} us")
+        yield _channel_uncertainty(written, "delay", number, f"delay {1e6 * number.value:g} us")
 
 
-def _of_direction(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _direction_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     text, uncertainty = uncertain.split_uncertainty(written.dof)
     if uncertainty:
         number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
-        yield _of_channel(written, "direction", number, f"dof {text}")
+        yield _channel_uncertainty(written, "direction", number, f"dof {text}")
 
 
-def _of_chain(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _chain_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
     for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
         if size := getattr(written.chain, effect, ""):
-            yield _of_channel(written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect)
+            yield _channel_uncertainty(
+                written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect
+            )
 
 
 # What reads the uncertainties of an entry.
-READERS = {"sensitivity": _of_sensitivity, "delay": _of_delay, "dof": _of_direction, "uncertainty": _of_chain}
+READERS = {
+    "sensitivity": _sensitivity_uncertainty,
+    "delay": _delay_uncertainty,
+    "dof": _direction_uncertainty,
+    "uncertainty": _chain_uncertainty,
+}
 
 
 @dataclass(frozen=True)
@@ -251,7 +258,7 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         return Certified(f"{stated.values[0]!r} {stated.unit}", (gain,) if relative else ())
     frequencies = certificate.quantity(settings.over, stated.table)
     phases = certificate.quantity(settings.phase, stated.table) if settings.phase else None
-    at, response = _over_frequency(settings, stated, frequencies, phases)
+    at, response = _course_over_frequency(settings, stated, frequencies, phases)
     uncertainties = [gain] if relative else []
     if phases is not None:
         if phases.std_errors is None:
@@ -273,7 +280,7 @@ def _check_day(settings: CertificateSettings, valid_until: datetime.date | None,
         raise UnitError(f"{named} has expired: it was valid until {valid_until}", hint)
 
 
-def _over_frequency(
+def _course_over_frequency(
     settings: CertificateSettings,
     stated: CertifiedQuantity,
     frequencies: CertifiedQuantity,

@@ -25,7 +25,7 @@ from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
-from labpipe.errors import ConfigError, DataError, cut
+from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project.run_record import days_of_runs, record_of_runs
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.finding import WARNING
@@ -141,7 +141,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, given: dict[str,
     except (DataError, *BAD_ENTRY) as error:
         other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
-        rows = [("result", {"verdict": "unreadable", "fault": cut(what)})]
+        rows = [("result", {"verdict": "unreadable", "fault": shorten(what)})]
     (_, whole), *parts = rows
     number = _insert(connection, "result", {"path": name, **given, **whole})
     for table, row in parts:
@@ -161,7 +161,7 @@ def _rows(identification: Identification, file_date: str) -> list[tuple[str, dic
         "tests": len(conditions) if identification.dataset is None else identification.dataset.tests,
         "dataset": int(identification.dataset is not None),
         "verdict": identification.verdict,
-        "warnings": ", ".join(sorted(_all_codes(identification))),
+        "warnings": ", ".join(sorted(_codes_of(identification))),
         "sources": " ".join(identification.digests),
     }
     rows = [("result", entry)]
@@ -214,7 +214,7 @@ def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> 
     return int(cursor.lastrowid or 0)
 
 
-def _all_codes(identification: Identification) -> set[str]:
+def _codes_of(identification: Identification) -> set[str]:
     of_fits = {code for fit in identification.fits for code in warning_codes(fit)}
     sections = identification.sections.items()
     pairs = (pair for name, record in sections for pair in section(name).findings(record))

@@ -64,7 +64,7 @@ def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
             names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
             kept = names_meant(column, pattern, names)
             table = table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
-    table = _at_conditions(table, criteria.where)
+    table = _filter_conditions(table, criteria.where)
     names = list(dataset_file.columns_of_conditions(table.column_names))
     amounts = {condition: _amounts(table, condition) for condition in names}
     sorted_rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
@@ -101,13 +101,13 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
     return table.filter(pc.is_valid(table["parameter"]))
 
 
-def _may_hold(part: dataset_file.Part, criteria: Filter) -> bool:
+def _may_hold(part: dataset_file.DatasetPart, criteria: Filter) -> bool:
     since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
     in_time = (not since or part.date >= since) and (not until or part.date <= until)
     return in_time and (not criteria.rig or is_of_rig(criteria.rig, part.rig))
 
 
-def _at_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
+def _filter_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
     for text in conditions:
         table = table.filter(condition_holds(table, text))
     return table
@@ -162,11 +162,11 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     with open_index(folder) as index:
         homes = _homes(index, folder).items()
         of_datasets = [functools.partial(dataset_values, home, name, criteria) for name, home in homes]
-        return _all_of(index, functools.partial(values, index, criteria), of_datasets)
+        return _collect_rows(index, functools.partial(values, index, criteria), of_datasets)
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
-    return [row] if _at_conditions(_choose(home, criteria), criteria.where).num_rows else []
+    return [row] if _filter_conditions(_choose(home, criteria), criteria.where).num_rows else []
 
 
 def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
@@ -180,10 +180,10 @@ def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
         of_datasets = [
             functools.partial(_keep, row, home, criteria) for row, home in pairs if home is not None
         ]
-        return _all_of(index, functools.partial(results, index, criteria), of_datasets)
+        return _collect_rows(index, functools.partial(results, index, criteria), of_datasets)
 
 
-def _all_of(
+def _collect_rows(
     index: sqlite3.Connection,
     of_index: Callable[[], list[Row]],
     of_datasets: Sequence[Callable[[], list[Row]]],
@@ -291,7 +291,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True)
-class Series:
+class ParameterSeries:
     """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending. copies:
     values of the same recordings as *rows*, which count once.
     """
@@ -339,7 +339,7 @@ class Series:
         return [] if self.limits is None else [self.by_date[place] for place in self.limits.outside]
 
 
-def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
+def trends(rows: Sequence[ValueRow], over: str) -> list[ParameterSeries]:
     """One series for each fit, term and band; tests without the condition, or a date, are ignored.
     ConfigError where none has it as an amount, or in different dimensions.
     """
@@ -354,7 +354,7 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[Series]:
     return [_series(fit, parameter, over, group) for (fit, parameter, _), group in groups.items()]
 
 
-def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Series:
+def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> ParameterSeries:
     if over == DATE:
         days = [datetime.date.fromisoformat(row.date[:10]) for row in rows]
         condition, unit = [float((day - min(days)).days) for day in days], f"d since {min(days)}"
@@ -370,7 +370,7 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Se
     counted = count_once(values, errors, [row.digests for row in of_rows])
     copies = tuple(row for row, counts in zip(of_rows, counted, strict=True) if not counts)
     once = tuple(itertools.compress(of_rows, counted))
-    return Series(fit, parameter, over, unit, np.array(places)[counted], once, copies)
+    return ParameterSeries(fit, parameter, over, unit, np.array(places)[counted], once, copies)
 
 
 def _day(row: ValueRow) -> datetime.date | None:
@@ -380,6 +380,6 @@ def _day(row: ValueRow) -> datetime.date | None:
         return None
 
 
-def undated(rows: Sequence[ValueRow]) -> list[ValueRow]:
+def undated_rows(rows: Sequence[ValueRow]) -> list[ValueRow]:
     """The values whose date is none."""
     return [row for row in rows if _day(row) is None]

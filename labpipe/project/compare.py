@@ -55,10 +55,10 @@ def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparis
     def tests_of(comparison: Comparison) -> Iterable[str]:
         return (point.test for point in comparison.points)
 
-    return _each(settings, COMPARE_PREFIX, work, lambda entry: compare(entry, evidence), tests_of)
+    return _make_each(settings, COMPARE_PREFIX, work, lambda entry: compare(entry, evidence), tests_of)
 
 
-def _each(
+def _make_each(
     settings: Sequence[Any],
     prefix: str,
     work: Work,
@@ -107,7 +107,7 @@ def run_matrices(settings: Sequence[MatrixSettings], work: Work) -> ConditionMat
     def tests_of(matrix: ConditionMatrix) -> Iterable[str]:
         return (test for point in matrix.points for test in point.tests)
 
-    return _each(settings, MATRIX_PREFIX, work, matrix, tests_of)
+    return _make_each(settings, MATRIX_PREFIX, work, matrix, tests_of)
 
 
 def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
@@ -127,14 +127,14 @@ def point_theory(settings: MatrixSettings, folder: Path) -> PointTheory | None:
                     if entry != NO_ENTRY:
                         set_entry(file.tree, f"{entry}={value!r} {unit}")
                 (coefficients,) = file.coefficients([file.settings()])
-                theories[conditions] = in_rig_axes(coefficients, theory.axes)
+                theories[conditions] = turn_to_rig_axes(coefficients, theory.axes)
             return theories[conditions]
 
         return at
     return _table_theory(folder / settings.theory.table, settings.over, settings.tolerance)
 
 
-def in_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
+def turn_to_rig_axes(coefficients: BearingCoefficients, axes: tuple[str, ...]) -> Mapping[str, float]:
     """k_xx ... c_yy along *axes*: the bearing's dofs that are the rig's x and y, -y for the other way."""
     named = axes or next(
         (pair for pair in DEFAULT_AXES if set(pair) <= set(coefficients.dofs)), DEFAULT_AXES[0]

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 
 from labpipe import __version__
 from labpipe.artefacts.header import code_digest, commit
-from labpipe.errors import DataError, cut
+from labpipe.errors import DataError, shorten
 from labpipe.records.identification import Identification
 
 
@@ -175,10 +175,12 @@ def read_metadata(content: bytes, where: str) -> Crate:
         left_out = sum(name.startswith("#left-out/") for name in entities)
         pipeline = unquote(main["mainEntity"]["@id"])
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        reason = cut(f"{type(error).__name__}: {error}")
+        reason = shorten(f"{type(error).__name__}: {error}")
         raise DataError(f"is not an RO-Crate of labpipe ({reason})", where, VERSION) from None
     if pipeline not in {file.name for file in files}:
-        raise DataError(f"names the pipeline '{cut(pipeline)}', which is not a file of the archive", where)
+        raise DataError(
+            f"names the pipeline '{shorten(pipeline)}', which is not a file of the archive", where
+        )
     return Crate(files, pipeline, left_out)
 
 
@@ -187,5 +189,5 @@ def _listing(entity: Entity, where: str) -> Listed:
     size, sha256 = entity["contentSize"], entity["sha256"]
     texts = all(isinstance(entry, str) for entry in (size, sha256, day))
     if not (texts and size.isascii() and size.isdigit()):
-        raise DataError(f"lists '{cut(name)}' without its size and digest", where)
+        raise DataError(f"lists '{shorten(name)}' without its size and digest", where)
     return Listed(name, int(size), sha256, day)

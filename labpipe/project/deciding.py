@@ -131,9 +131,9 @@ def _outcome(
     guard = by_risk if decision.guard is None else decision.guard * expanded
     if guard < 0:
         # A band outwards: what passes lies within it, and nothing is conditional.
-        wide = limits.narrowed(guard)
+        wide = limits.narrow(guard)
         return (decisions.PASS if wide.hold(value) else decisions.FAIL), wide
-    narrow = limits.narrowed(guard)
+    narrow = limits.narrow(guard)
     return decisions.outcome_by_guard(value, guard, limits), narrow if narrow.low <= narrow.high else None
 
 

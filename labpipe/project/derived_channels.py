@@ -11,9 +11,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from labpipe.project.marked_yaml import Marked
-from labpipe.project.settings_reader import Faults, in_one_line, join
+from labpipe.project.settings_reader import Faults, join, shorten_number
 from labpipe.quantities import QUANTITIES, Dimension, UnitError, name_of_dimension, parse_unit
-from labpipe.records.recording import Number, Term
+from labpipe.records.recording import Number, SumTerm
 from labpipe.records.uncertain import Uncertain, parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
 
@@ -24,7 +24,7 @@ _TURN = re.compile(r"^([+-]?)\s*(cos|sin)\s*\((.*)\)$")
 
 
 @dataclass(frozen=True)
-class Factor:
+class TermFactor:
     """A factor of a term, the number with uncertainty behind it, and the factor's derivative by that."""
 
     value: float
@@ -33,22 +33,22 @@ class Factor:
     derivative: float = 1.0
 
 
-def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, Factor]:
+def read_constants(node: Marked | None, channels: Collection[str], faults: Faults) -> dict[str, TermFactor]:
     """The entries of ``constants:``; faults for no value with a unit, and for names of *channels*."""
-    constants: dict[str, Factor] = {}
+    constants: dict[str, TermFactor] = {}
     if node is None:
         return constants
     for name, entry in faults.mapping(node, "constants").items():
         if name in channels:
             faults.add(entry, join("constants", name), "is a channel already", "give it another name")
         try:
-            constants[name] = parse_factor(in_one_line(entry).text, name)
+            constants[name] = parse_factor(shorten_number(entry).text, name)
         except UnitError as error:
             faults.add_unit(entry, join("constants", name), error)
     return constants
 
 
-def parse_factor(text: str, name: str) -> Factor:
+def parse_factor(text: str, name: str) -> TermFactor:
     """ "30 kg +- 0.1 kg", "0.7071" or "cos(45 deg)"; *name*: of its uncertainty. UnitError for others."""
     turn = _TURN.match(text.strip())
     if turn is not None:
@@ -61,7 +61,7 @@ def parse_factor(text: str, name: str) -> Factor:
     # A minus is that of the term: of -30 kg the error makes 30 kg larger, as of 30 kg by the same scale.
     sign = -1.0 if text.strip().startswith("-") else 1.0
     uncertain = parse_uncertain(text.strip().removeprefix("-"), unit)
-    return Factor(sign * uncertain.value, dimension, _number(name, uncertain, unit), sign)
+    return TermFactor(sign * uncertain.value, dimension, _number(name, uncertain, unit), sign)
 
 
 def _number(name: str, number: Uncertain, unit: str) -> Number | None:
@@ -69,13 +69,13 @@ def _number(name: str, number: Uncertain, unit: str) -> Number | None:
     return Number(name, number.value, size, unit, number.source) if size > 0 else None
 
 
-def _turn(sign: str, function: str, angle_text: str, name: str) -> Factor:
+def _turn(sign: str, function: str, angle_text: str, name: str) -> TermFactor:
     angle = parse_uncertain(angle_text.strip(), "rad")
     size = -1.0 if sign == "-" else 1.0
     cosine, sine = math.cos(angle.value), math.sin(angle.value)
     value, slope = (cosine, -sine) if function == "cos" else (sine, cosine)
     number = _number(name, angle, "rad")
-    return Factor(size * value, parse_unit("1").dimension, number, size * slope)
+    return TermFactor(size * value, parse_unit("1").dimension, number, size * slope)
 
 
 @dataclass(frozen=True)
@@ -83,14 +83,14 @@ class SumReader:
     """Reads sums: *quantities* of all channels by name, the rig's *constants*."""
 
     quantities: Mapping[str, str]
-    constants: Mapping[str, Factor]
+    constants: Mapping[str, TermFactor]
 
-    def terms(self, text: str, name: str) -> tuple[Term, ...]:
+    def terms(self, text: str, name: str) -> tuple[SumTerm, ...]:
         """The terms of the sum of channel *name*; UnitError for what cannot be read or has another unit."""
         return tuple(self._term(sign, part, name) for sign, part in _parts(text))
 
-    def _term(self, sign: float, text: str, name: str) -> Term:
-        factors: list[Factor] = []
+    def _term(self, sign: float, text: str, name: str) -> SumTerm:
+        factors: list[TermFactor] = []
         members: list[str] = []
         for piece in (part.strip() for part in text.split("*")):
             if piece in self.quantities:
@@ -110,9 +110,9 @@ class SumReader:
             if factor.number is not None:
                 others = math.prod(other.value for at, other in enumerate(factors) if at != place)
                 numbers[factor.number] = numbers.get(factor.number, 0.0) + sign * others * factor.derivative
-        return Term(members[0], value, tuple(numbers), tuple(numbers.values()))
+        return SumTerm(members[0], value, tuple(numbers), tuple(numbers.values()))
 
-    def _literal(self, piece: str, term: str, name: str) -> Factor:
+    def _literal(self, piece: str, term: str, name: str) -> TermFactor:
         if not _NUMBER.match(piece) and not _TURN.match(piece):
             hint = nearest(piece, [*self.quantities, *self.constants])
             if re.search(r"[+-]", piece):
@@ -121,7 +121,7 @@ class SumReader:
         within = f"{split_uncertainty(piece)[0]} in {name}"
         return parse_factor(piece, within if piece != term else name)
 
-    def _check_unit(self, factors: list[Factor], member: str, text: str, name: str) -> None:
+    def _check_unit(self, factors: list[TermFactor], member: str, text: str, name: str) -> None:
         wanted = parse_unit(QUANTITIES[self.quantities[name]].si_unit).dimension
         of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
         total = of_member
@@ -154,27 +154,29 @@ def _parts(text: str) -> list[tuple[float, str]]:
     return pairs
 
 
-def expand(sums: Mapping[str, tuple[Term, ...]], name: str, above: tuple[str, ...] = ()) -> tuple[Term, ...]:
+def expand(
+    sums: Mapping[str, tuple[SumTerm, ...]], name: str, above: tuple[str, ...] = ()
+) -> tuple[SumTerm, ...]:
     """The sum of channel *name* in recorded channels. UnitError for one that holds itself."""
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))
         raise UnitError(f"the sum holds itself: {ring}", "write it in recorded channels")
-    terms: dict[str, Term] = {}
+    terms: dict[str, SumTerm] = {}
     for term in sums[name]:
         is_sum = term.channel in sums
-        inner = expand(sums, term.channel, (*above, name)) if is_sum else (Term(term.channel, 1.0),)
+        inner = expand(sums, term.channel, (*above, name)) if is_sum else (SumTerm(term.channel, 1.0),)
         for part in inner:
             # A term of a sum that is itself a member: d(ab) = a db + b da
             scaled = part.times(term.factor)
             derivatives = tuple(part.factor * derivative for derivative in term.derivatives)
-            by_derivatives = Term(part.channel, 0.0, term.numbers, derivatives)
+            by_derivatives = SumTerm(part.channel, 0.0, term.numbers, derivatives)
             whole = replace(_add(scaled, by_derivatives), factor=scaled.factor)
             terms[part.channel] = _add(terms[part.channel], whole) if part.channel in terms else whole
     return tuple(terms.values())
 
 
-def _add(first: Term, second: Term) -> Term:
+def _add(first: SumTerm, second: SumTerm) -> SumTerm:
     numbers = dict(zip(first.numbers, first.derivatives, strict=True))
     for number, derivative in zip(second.numbers, second.derivatives, strict=True):
         numbers[number] = numbers.get(number, 0.0) + derivative
-    return Term(first.channel, first.factor + second.factor, tuple(numbers), tuple(numbers.values()))
+    return SumTerm(first.channel, first.factor + second.factor, tuple(numbers), tuple(numbers.values()))

@@ -108,7 +108,7 @@ def on_cluster(address: str) -> Execute:
         distributed = _distribute()
         try:
             with _client(distributed, address) as client:
-                yield from _in_batches(distributed, client, work, [job.absolute() for job in jobs])
+                yield from _run_in_batches(distributed, client, work, [job.absolute() for job in jobs])
         except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
             # Dask's own errors of a connection; those of files have a number.
             of_connection = isinstance(error, distributed.comm.core.CommClosedError) or LOST in str(error)
@@ -120,13 +120,13 @@ def on_cluster(address: str) -> Execute:
     return execute
 
 
-def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
+def _run_in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
     """Outcomes as they come. Tests of a batch whose workers were all ended are tried alone."""
     size = batch_size(len(jobs), len(client.nthreads()))
     waiting = [jobs[start : start + size] for start in range(0, len(jobs), size)][::-1]
     batches: dict[Any, Sequence[Job]] = {}
 
-    def ended(seconds: float) -> Any:
+    def wait_for_end(seconds: float) -> Any:
         with client.as_current():
             return distributed.wait(list(batches), timeout=seconds, return_when="FIRST_COMPLETED").done
 
@@ -134,7 +134,7 @@ def _in_batches(distributed: Any, client: Any, work: Work, jobs: Sequence[Job]) 
         while waiting and len(batches) < MOST_BATCHES:
             batch = waiting.pop()
             batches[client.submit(work_on, work, batch, pure=False, retries=ATTEMPTS - 1)] = batch
-        for future in patiently(client, ended):
+        for future in patiently(client, wait_for_end):
             # A worker that is ended now takes its outcome with it, which is then worked out again.
             error = patiently(client, future.exception)
             batch = batches.pop(future)

@@ -232,14 +232,14 @@ def _rows(fit: Fit) -> Iterator[dict[str, object]]:
     names = [parameter.name for parameter in fit.parameters]
     low, high = fit.band_hz
     head = {"test": fit.test, "fit": fit.name, "term": fit.term, "band_low_hz": low, "band_high_hz": high}
-    for source, matrix, changes in _by_source(fit):
+    for source, matrix, changes in _covariance_by_source(fit):
         for row, column in zip(*np.nonzero(np.triu(np.isfinite(matrix) & (matrix != 0))), strict=True):
             pair = {"source": source, "parameter_1": names[row], "parameter_2": names[column]}
             size = {"covariance": matrix[row, column], "change_1": changes[row], "change_2": changes[column]}
             yield {**head, **pair, **size}
 
 
-def _by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+def _covariance_by_source(fit: Fit) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Source, covariance (n, n) and change (n,) of all parameters by it [SI]; noise has no change."""
     # None becomes not-a-number.
     errors = np.array([random_error(fit, parameter) for parameter in fit.parameters], np.float64)

@@ -16,7 +16,7 @@ from labpipe.project.settings_reader import DECIDE
 from labpipe.quantities import QUANTITIES, Dimension, UnitError, parse_unit, readings
 from labpipe.raw_files.first_look import hit_starts
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.raw_files.table import Table
+from labpipe.raw_files.table import RawTable
 from labpipe.records.finding import Finding
 
 # Largest number of rows read.
@@ -77,7 +77,7 @@ class GuessedChannel:
         return (*decisions, self.guess) if decisions and self.guess else decisions
 
 
-def first_rows(table: Table) -> tuple[tuple[str, ...], FloatArray]:
+def first_rows(table: RawTable) -> tuple[tuple[str, ...], FloatArray]:
     """Distinct columns of a table and their first rows (n_row, n_column) [recorded units]."""
     names = tuple(dict.fromkeys(table.columns))
     chunks: list[FloatArray] = []
@@ -133,7 +133,7 @@ def _repetition(column: FloatArray, other: FloatArray, is_later: bool) -> str:
     return "a windowed copy" if windowed and within else ""
 
 
-def windows_of_copies_alone(table: Table, measured: Sequence[str]) -> Finding | None:
+def windows_of_copies_alone(table: RawTable, measured: Sequence[str]) -> Finding | None:
     """The warning of *measured* columns whose copies alone have the window that a pipeline states. A damping
     that they never had is taken off them: zeta comes out 1 / (w_n tau) too small.
     """

@@ -62,13 +62,13 @@ def guessed_frf(path: Path) -> GuessedFrf | None:
     """The FRFs of a table, of variables or of universal records without a form; None for other files."""
     suffix = plain_suffix(path)
     if suffix in frf_described.VARIABLE_SUFFIXES:
-        return _of_variables(frf_described.columns_of_variables(path))
+        return _guess_variables(frf_described.columns_of_variables(path))
     if suffix in UFF_SUFFIXES:
-        return _of_records(path)
-    return _of_table(path) if suffix in TEXT_SUFFIXES else None
+        return _guess_records(path)
+    return _guess_table(path) if suffix in TEXT_SUFFIXES else None
 
 
-def _of_records(path: Path) -> GuessedFrf | None:
+def _guess_records(path: Path) -> GuessedFrf | None:
     frfs = [record for record in read_uff(path) if record.function == FRF]
     if not frfs:
         return None
@@ -84,11 +84,11 @@ def _of_records(path: Path) -> GuessedFrf | None:
 LEAST_STEP = 0.05
 
 
-def _of_table(path: Path) -> GuessedFrf | None:
+def _guess_table(path: Path) -> GuessedFrf | None:
     """The FRF of a text table by its header, or without one of three columns, the first a frequency."""
     table = frf_described.TextColumns(path)
     if len(table.columns) == 3 and not any(re.search(r"[A-Za-z]{2}", name) for name in table.columns):
-        return _without_header(table)
+        return _guess_without_header(table)
     columns: dict[str, str] = {}
     for name in table.columns:
         kind = next((kind for kind, pattern in _NAMES if re.search(pattern, name, re.IGNORECASE)), "")
@@ -113,7 +113,7 @@ def _unit_of_frf(unit: str) -> str:
     return FORMS[form] if form and unit_of(unit, FORMS[form]).factor == 1 else unit if form else ""
 
 
-def _without_header(table: frf_described.TextColumns) -> GuessedFrf | None:
+def _guess_without_header(table: frf_described.TextColumns) -> GuessedFrf | None:
     """Three columns of numbers: steps of one size in the first, which is not a time, and a complex number."""
     frequency, re_, im = (table.column(n).real for n in range(3))
     steps = np.diff(frequency)
@@ -140,7 +140,7 @@ _PARTS = (("amplitude", r"ampl?(itude)?|mag(nitude)?|abs"), ("re", r"re(al)?"))
 _OTHERS = {"amplitude": ("phase", r"phase|arg|ang(le)?"), "re": ("im", r"im(ag)?")}
 
 
-def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
+def _guess_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     """The FRFs among variables: complex vectors, or amplitudes and phases, beside a rising vector."""
     vectors = _vectors(source)
     elements, guesses = _complex_elements(vectors)
@@ -166,7 +166,7 @@ def _of_variables(source: frf_described.DescribedColumns) -> GuessedFrf | None:
     values = np.asarray(np.stack([_first(vectors, parts) for parts in elements.values()], axis=1))
     unit = _unit_of_frf(source.unit(next(iter(elements[first].values()))))
     columns = {**lines, **(elements[first] if len(elements) == 1 else {})}
-    listed, reference = ({}, "") if len(elements) == 1 else _by_labels(source, elements)
+    listed, reference = ({}, "") if len(elements) == 1 else _elements_by_labels(source, elements)
     notes = (*form_text, *guesses)
     return GuessedFrf(columns, unit, frequency, values, "variables", listed, form, notes, reference=reference)
 
@@ -175,7 +175,7 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
     return vectors[next(iter(parts.values()))]
 
 
-def _by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
+def _elements_by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
     """The elements by the labels of their responses, and that of their one reference, if there are any."""
     labels: dict[str, str] = {}
     references: set[str] = set()

@@ -22,11 +22,11 @@ from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import JITTER, ChannelScreen, LostSamples, TimeAxisScreen
-from labpipe.raw_files.table import QuickTable, Table, as_quick, check_columns, check_time, open_table
+from labpipe.raw_files.table import QuickTable, RawTable, as_quick, check_columns, check_time, open_table
 from labpipe.records.finding import Finding
 from labpipe.records.rig import Rig, RigChannel, time_scale
 
@@ -112,11 +112,11 @@ def ingest(
         timed = [*_times_beside(table, rig), *timed]
     screen, calibration = channel_screen(rig), Calibration(rig)
     seconds = time_scale(rig.time, table.units)
-    with located(table.path), recording_file.RecordingWriter(target, channels) as writer:
+    with locate_errors(table.path), recording_file.RecordingWriter(target, channels) as writer:
         for chunk in table.chunks(timed):
             if time is not None:
                 time.add(chunk[:, 0] * seconds)
-            block = calibration.measured(chunk[:, len(timed) - len(rig.channels) :])
+            block = calibration.to_si(chunk[:, len(timed) - len(rig.channels) :])
             screen.add(block)
             writer.write(calibration.with_sums(block))
         of_times = time.findings() if isinstance(time, LostSamples) else ()
@@ -139,7 +139,7 @@ def changed_while_read(path: Path) -> DataError:
     return DataError("changed while it was read", path, "run again when it is complete")
 
 
-def _open(source: Path, rig: Rig) -> Table:
+def _open(source: Path, rig: Rig) -> RawTable:
     table = open_table(source)
     if rig.resample is None:
         return table
@@ -162,13 +162,13 @@ def _join(paths: Sequence[Path], rig: Rig, by: str) -> JoinedTable:
     return JoinedTable(tables, rig.time if not untimed and by != "sample" else None)
 
 
-def named_times(table: Table) -> list[str]:
+def named_times(table: RawTable) -> list[str]:
     """The columns that are times by their names, and no frequencies by their unit."""
     names = (name for name in dict.fromkeys(table.columns) if table.units.get(name) != "Hz")
     return [name for name in names if re.split(r"[\[(]", name)[0].strip().lower() in TIME_NAMES]
 
 
-def _times_beside(table: Table, rig: Rig) -> list[str]:
+def _times_beside(table: RawTable, rig: Rig) -> list[str]:
     """The columns of times beside a rate that the rig file states, the first of them."""
     names = named_times(table) if rig.sample_rate else []
     return [name for name in names if table.columns.count(name) == 1][:1]
@@ -177,13 +177,13 @@ def _times_beside(table: Table, rig: Rig) -> list[str]:
 _Clock = TimeAxisScreen | LostSamples | None
 
 
-def _clock(table: Table, rig: Rig) -> _Clock:
+def _clock(table: RawTable, rig: Rig) -> _Clock:
     if rig.time:
         return TimeAxisScreen(rig.time)
     return next(map(LostSamples, _times_beside(table, rig)), None)
 
 
-def _check_rate(table: Table, rig: Rig) -> None:
+def _check_rate(table: RawTable, rig: Rig) -> None:
     """DataError for times at another rate by mean and median step, of which gaps or digits change one."""
     stated = rig.sample_rate or 0.0
     for name in _times_beside(table, rig):
@@ -202,7 +202,7 @@ def _check_rate(table: Table, rig: Rig) -> None:
             raise DataError(what, table.path, f"time: '{name}' in place of sample_rate, or correct it")
 
 
-def check_table(table: Table, rig: Rig) -> list[str]:
+def check_table(table: RawTable, rig: Rig) -> list[str]:
     """The columns of the rig's channels, the time first. DataError for a missing one or another unit."""
     timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     check_columns(table, timed)
@@ -228,7 +228,7 @@ class Calibration:
         self._sums = rig.sums.T if rig.derived else None
         self._changes = (self._scale != 1) | (self._offset != 0)
 
-    def measured(self, chunk: FloatArray) -> FloatArray:
+    def to_si(self, chunk: FloatArray) -> FloatArray:
         """Recorded columns (n, n_measured) [unit of the file] in SI units, not copied where they are."""
         if not self._changes.any():
             return chunk
@@ -236,12 +236,12 @@ class Calibration:
         block += self._offset
         return block
 
-    def of_channel(self, number: int, recorded: FloatArray) -> FloatArray:
+    def channel_to_si(self, number: int, recorded: FloatArray) -> FloatArray:
         """The numbers (n,) [unit of the file] of one measured channel in SI units."""
         values: FloatArray = np.asarray(recorded, np.float64)
         return values * self._scale[number] + self._offset[number] if self._changes[number] else values
 
-    def in_rows(self, columns: Sequence[FloatArray]) -> FloatArray:
+    def rows_to_si(self, columns: Sequence[FloatArray]) -> FloatArray:
         """Recorded columns (n,) [unit of the file] as (n, n_measured) [SI], sample by sample."""
         block = np.empty((columns[0].size, len(columns)))
         for start in range(0, block.shape[0], IN_CACHE):
@@ -249,7 +249,7 @@ class Calibration:
             for number, column in enumerate(columns):
                 # Single precision becomes double where it is put.
                 changes, recorded = self._changes[number], column[piece]
-                block[piece, number] = self.of_channel(number, recorded) if changes else recorded
+                block[piece, number] = self.channel_to_si(number, recorded) if changes else recorded
         return block
 
     def with_sums(self, block: FloatArray) -> FloatArray:
@@ -257,7 +257,7 @@ class Calibration:
         return block if self._sums is None else np.concatenate([block, block @ self._sums], axis=1)
 
 
-def contradictions(table: Table, rig: Rig) -> list[DataError]:
+def contradictions(table: RawTable, rig: Rig) -> list[DataError]:
     """Every point in which a file and a rig file do not agree: columns, units, rate."""
     columns = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
     checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in columns]
@@ -275,7 +275,7 @@ def contradictions(table: Table, rig: Rig) -> list[DataError]:
     return faults
 
 
-def stated_rate(table: Table, rig: Rig) -> float:
+def stated_rate(table: RawTable, rig: Rig) -> float:
     """The rate [Hz] that the rig file or the file states. DataError for none, or two that differ."""
     file_rate = table.sample_rate
     if rig.sample_rate is None and file_rate is None:
@@ -288,7 +288,7 @@ def stated_rate(table: Table, rig: Rig) -> float:
     return float(rig.sample_rate or file_rate or 0.0)
 
 
-def _rate(clock: _Clock, table: Table, rig: Rig) -> float:
+def _rate(clock: _Clock, table: RawTable, rig: Rig) -> float:
     """The rate [Hz] by the times that the rig names, or as stated."""
     if not isinstance(clock, TimeAxisScreen):
         return stated_rate(table, rig)
@@ -299,7 +299,7 @@ def _rate(clock: _Clock, table: Table, rig: Rig) -> float:
     return rate
 
 
-def _check_unit(table: Table, channel: RigChannel) -> None:
+def _check_unit(table: RawTable, channel: RigChannel) -> None:
     stated = table.units.get(channel.column)
     if stated is not None and not may_agree(stated, channel.unit):
         by_rig = f"in {channel.unit} by the rig file"
@@ -388,7 +388,7 @@ class RawRecording:
     def findings(self) -> tuple[Finding, ...]:
         """What was found in the samples; the file is read where it has not been."""
         if self._findings is None:
-            for _ in self._screened():
+            for _ in self._screen_chunks():
                 pass
         assert self._findings is not None
         return self._findings
@@ -398,15 +398,15 @@ class RawRecording:
         return recording_file.read_ahead(self._blocks_in_turn(n_sample))
 
     def _blocks_in_turn(self, n_sample: int) -> Iterator[FloatArray]:
-        for columns in self._screened() if self._findings is None else self._record():
-            block = self._calibration.with_sums(self._calibration.in_rows(columns))
+        for columns in self._screen_chunks() if self._findings is None else self._record():
+            block = self._calibration.with_sums(self._calibration.rows_to_si(columns))
             for start in range(0, block.shape[0], n_sample):
                 yield block[start : start + n_sample]
 
     def _record(self) -> Iterator[list[FloatArray]]:
         return self._table.column_chunks(self._columns)
 
-    def _screened(self) -> Iterator[list[FloatArray]]:
+    def _screen_chunks(self) -> Iterator[list[FloatArray]]:
         """The same, looked at for faults and digested on the way; what comes of it holds after the last."""
         screen = channel_screen(self.rig)
         with DigestAlong(self.path) as digest:
@@ -422,12 +422,12 @@ class RawRecording:
 
     def _screen(self, screen: ChannelScreen, columns: Sequence[FloatArray]) -> None:
         """Look at the extremes of columns (n,) [unit of the file], and into them where these say so."""
-        calibrated = self._calibration.of_channel
+        calibrated = self._calibration.channel_to_si
         extremes = ((column.min(), column.max()) for column in columns)
         ends = np.array([[calibrated(n, end) for end in pair] for n, pair in enumerate(extremes)])
         low, high = ends.min(axis=1), ends.max(axis=1)
         if not screen.add_between(low, high, columns[0].size, lambda n: calibrated(n, columns[n])):
-            screen.add(self._calibration.in_rows(columns))
+            screen.add(self._calibration.rows_to_si(columns))
 
     def source_ref(self) -> SourceRef:
         self._sha256 = self._sha256 or file_sha256(self.path)

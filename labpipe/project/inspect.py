@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
 from labpipe.artefacts.recording_file import StoredRecording, open_recording
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.project.first_guess import step_of
 from labpipe.project.ingest import TIME_NAMES, contradictions, is_recording, named_times
 from labpipe.project.ready_response import is_response, load_response
@@ -36,7 +36,7 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
     file, read once in blocks; DataError for one that cannot be read.
     """
     if not file.is_file():
-        return _of_table(file, rig)
+        return _table_overview(file, rig)
     if plain_suffix(file) in UFF_SUFFIXES and (shapes := guard(read_shapes_uff, file)) is not None:
         return shapes
     if is_response(file):
@@ -44,8 +44,8 @@ def inspect(file: Path, rig: Rig | None = None) -> Overview | FrequencyResponse 
     if file.name.endswith(SPECTRA_SUFFIX):
         return read_spectra(file)
     if file.name.endswith(DECAY_SUFFIX):
-        return _of_decays(read_decays(file), file.name)
-    return _of_recording(open_recording(file)) if is_recording(file) else _of_table(file, rig)
+        return _decays_overview(read_decays(file), file.name)
+    return _recording_overview(open_recording(file)) if is_recording(file) else _table_overview(file, rig)
 
 
 def write_card(
@@ -92,7 +92,7 @@ class _Look:
         )
 
 
-def _of_recording(recording: StoredRecording) -> Overview:
+def _recording_overview(recording: StoredRecording) -> Overview:
     look = _Look([channel.name for channel in recording.channels])
     for block in recording.blocks(BLOCK):
         look.add(block)
@@ -111,7 +111,7 @@ def _of_recording(recording: StoredRecording) -> Overview:
     )
 
 
-def _of_decays(decays: FreeDecays, file: str) -> Overview:
+def _decays_overview(decays: FreeDecays, file: str) -> Overview:
     look = _Look([port.label for port in decays.outputs])
     for decay in decays.decays:
         look.add(decay.samples)
@@ -131,7 +131,7 @@ def _of_decays(decays: FreeDecays, file: str) -> Overview:
     )
 
 
-def _of_table(file: Path, rig: Rig | None) -> Overview:
+def _table_overview(file: Path, rig: Rig | None) -> Overview:
     table = open_table(file)
     names = list(dict.fromkeys(table.columns))
     frequencies = [name for name in names if table.units.get(name) == "Hz"]
@@ -143,7 +143,7 @@ def _of_table(file: Path, rig: Rig | None) -> Overview:
     rate, rate_text = table.sample_rate, "no time column; the rig file gives the rate"
     if any(name.lower() in TIME_NAMES for name in frequencies):
         rate_text = f"a spectrum: '{frequencies[0]}' is a frequency in Hz, no time"
-    with located(file):
+    with locate_errors(file):
         for chunk in table.chunks(names):
             look.add(chunk)
             if time is not None:

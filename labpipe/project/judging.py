@@ -89,16 +89,16 @@ def judge(
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            of_all = together(rule, fits, records) if rule.together else _on_section(rule, records)
+            of_all = together(rule, fits, records) if rule.together else _judge_section(rule, records)
             outcomes.append(of_all or whole_outcome(rule, judged_part(rule, fits)))
         except ConfigError:
             if not incomplete:
                 raise
-            outcomes.append(unfounded(rule))
+            outcomes.append(missing_outcome(rule))
     return (*outcomes, *forbidden(rules, fits))
 
 
-def unfounded(rule: Rule) -> RuleOutcome:
+def missing_outcome(rule: Rule) -> RuleOutcome:
     """The failed outcome of a rule that addresses what an incomplete result does not have."""
     return rule.outcome(None, False)
 
@@ -124,7 +124,7 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
     )
 
 
-def _on_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
+def _judge_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None:
     for name, record in records.items():
         outcome = section(name).outcome
         if outcome is not None and rule.fit in names_of(name, record):

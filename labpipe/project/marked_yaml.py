@@ -114,7 +114,7 @@ def parse_marked(text: str, name: str) -> Marked:
         raise ConfigError("the file is empty", name)
     tree = _Tree(name)
     try:
-        marked = tree.marked(node, frozenset())
+        marked = tree.mark(node, frozenset())
     except RecursionError:
         raise ConfigError("not valid YAML: nested too deeply", name) from None
     if tree.duplicates:
@@ -139,7 +139,7 @@ class _Tree:
         self._count = 0
         self.duplicates: list[ConfigError] = []
 
-    def marked(self, node: yaml.Node, above: frozenset[int]) -> Marked:
+    def mark(self, node: yaml.Node, above: frozenset[int]) -> Marked:
         """The marked node; *above*: the nodes that contain it."""
         where = _place(node.start_mark, self._name)
         self._count += 1
@@ -151,7 +151,7 @@ class _Tree:
         if isinstance(node, yaml.MappingNode):
             return Marked(self._mapping(node, above), where)
         if isinstance(node, yaml.SequenceNode):
-            return Marked([self.marked(item, above) for item in node.value], where)
+            return Marked([self.mark(item, above) for item in node.value], where)
         return Marked(_scalar(node), where, text=str(node.value))
 
     def _mapping(self, node: yaml.MappingNode, above: frozenset[int]) -> dict[str, Marked]:
@@ -165,7 +165,7 @@ class _Tree:
                 hint = f"first at {entries[key].key_where}"
                 self.duplicates.append(ConfigError(f"{key}: the key appears twice", where, hint))
                 continue
-            entries[key] = self.marked(value_node, above)
+            entries[key] = self.mark(value_node, above)
             entries[key].key_where = where
         return entries
 

@@ -132,10 +132,10 @@ def _course(identification: Identification, matrix: ConditionMatrix, point: Matr
         low, high = (end(course[0][place] for course in drawn) for end, place in ((max, 0), (min, -1)))
         frequency = np.linspace(low, high, N_WHIRL)
         return frequency, np.mean([_interpolate(*course, frequency) for course in drawn], axis=0)
-    return _of_coefficients(matrix, point, fits)
+    return _coefficient_course(matrix, point, fits)
 
 
-def _of_coefficients(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:
+def _coefficient_course(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:
     missing = [name for name in ROTOR_NAMES if point.value(name) is None]
     if missing:
         what = f"matrix '{matrix.name}' lacks {', '.join(missing)}"

@@ -96,7 +96,7 @@ def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
             raise DataError(f"holds the same bytes as '{Path(first).name}'", path, "a recording counts once")
 
 
-def where_recorded(recordings: Sequence[MeasuredSource]) -> str:
+def list_sources(recordings: Sequence[MeasuredSource]) -> str:
     """The raw files behind recordings, for messages."""
     return ", ".join(
         recording.header.inputs[0].path
@@ -119,7 +119,7 @@ MeasuredTest = FrequencyResponse | FreeDecays | ChannelSpectra
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _MeasuredKind:
     name: str
     suffix: str
     write: Callable[[Path, Any, Header], None]
@@ -127,9 +127,9 @@ class _Kind:
 
 
 KINDS = {
-    RESPONSES: _Kind("frf", RESPONSE_SUFFIX, write_response, read_response),
-    DECAYS: _Kind("decay", DECAY_SUFFIX, write_decays, read_decays),
-    SPECTRA: _Kind("spectra", SPECTRA_SUFFIX, write_spectra, read_spectra),
+    RESPONSES: _MeasuredKind("frf", RESPONSE_SUFFIX, write_response, read_response),
+    DECAYS: _MeasuredKind("decay", DECAY_SUFFIX, write_decays, read_decays),
+    SPECTRA: _MeasuredKind("spectra", SPECTRA_SUFFIX, write_spectra, read_spectra),
 }
 
 
@@ -189,11 +189,11 @@ def measure_test(
     try:
         result = measurement(recordings, settings, name=test, conditions=conditions)
     except LabpipeError as error:
-        error.where = error.where or where_recorded(recordings)
+        error.where = error.where or list_sources(recordings)
         raise
     except LinAlgError as error:
         what = f"a matrix of spectra has no solution ({error})"
-        raise DataError(what, where_recorded(recordings), ALIKE) from error
+        raise DataError(what, list_sources(recordings), ALIKE) from error
     if isinstance(result, FrequencyResponse):
         result = result.with_findings(seen())
     made = header()
@@ -213,7 +213,7 @@ def load_measured(path: Path, name: str = "", conditions: dict[str, str] | None 
     result: MeasuredTest = kind.read(path)
     name, conditions = name or result.name, conditions or result.conditions
     if isinstance(result, FrequencyResponse):
-        return result.renamed(name, conditions)
+        return result.rename(name, conditions)
     return replace(result, name=name, conditions=conditions)
 
 

@@ -64,7 +64,7 @@ from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import shaft_motion
 
 
-def one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
+def read_one_of_many(identification: Identification, folder: Path, test: str) -> Identification:
     """The fits and the response of one test in a result's *folder*. ConfigError for an unknown test."""
     rows = read_rows(folder)
     names = rows["test"].to_pylist()

@@ -100,14 +100,16 @@ def read_uncertainty(node: Marked, faults: Faults) -> Callable[..., FitSettings]
         key = join("uncertainty.repeatability", name)
         written = node.content["repeatability"].content[name]
         try:
-            repeats.append(_measured(name, entry, faults.folder) if entry.file else _known(name, entry))
+            repeats.append(
+                _measured_source(name, entry, faults.folder) if entry.file else _known_source(name, entry)
+            )
         except UnitError as error:
             at = "file" if entry.file else "size"
             faults.add_unit(written.content[at], join(key, at), error)
     return partial(settings.of, repeats=tuple(repeats)) if len(faults) == before else None
 
 
-def _known(name: str, settings: RepeatSettings) -> RepeatSource:
+def _known_source(name: str, settings: RepeatSettings) -> RepeatSource:
     size, _, _ = settings.size.partition("(")
     if not size.strip().endswith("%"):
         what = f"'{settings.size}' is not relative to the parameter"
@@ -116,7 +118,7 @@ def _known(name: str, settings: RepeatSettings) -> RepeatSource:
     return RepeatSource(name, settings.parameter, number.std_error, settings.per, number.dof)
 
 
-def _measured(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
+def _measured_source(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
     """The relative scatter between settings of a repeatability test, with one dof less than settings."""
     try:
         comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
@@ -149,7 +151,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     entries = faults.mapping(node, key)
     presets: dict[str, Any] = {"name": name}
     section = _section_of(entries)
-    entries = _in_section(entries) if not section else entries
+    entries = _move_to_section(entries) if not section else entries
     section = section or _section_of(entries)
     if section:
         model, entry = section
@@ -171,7 +173,7 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
     return read_settings(FitSettings, plain, key, faults, **presets)
 
 
-def _in_section(entries: dict[str, Marked]) -> dict[str, Marked]:
+def _move_to_section(entries: dict[str, Marked]) -> dict[str, Marked]:
     """The entries of a fit, with the settings of a model that needs no section moved into its section."""
     model = text_of(entries, "model")
     kind = model_kind(model) if model in MODELS else None
@@ -222,7 +224,7 @@ def read_comparison(node: Marked, key: str, name: str, reading: Reading) -> Comp
             faults.add_at(entries, key, entry, f"is not for the kind {kind}", f"kind: {' or '.join(kinds)}")
     if len(faults) > before:
         return None
-    return _of_a_fit(read_settings(CompareSettings, node, key, faults, **presets), node, key, reading)
+    return _fit_reference(read_settings(CompareSettings, node, key, faults, **presets), node, key, reading)
 
 
 def read_matrix(node: Marked, key: str, name: str, reading: Reading) -> MatrixSettings | None:
@@ -230,13 +232,13 @@ def read_matrix(node: Marked, key: str, name: str, reading: Reading) -> MatrixSe
     faults = reading.faults
     if name in reading.names:
         faults.add(node, key, f"the name '{name}' is taken already", "rules could not tell them apart")
-    return _of_a_fit(read_settings(MatrixSettings, node, key, faults, name=name), node, key, reading)
+    return _fit_reference(read_settings(MatrixSettings, node, key, faults, name=name), node, key, reading)
 
 
 OfFit = TypeVar("OfFit", CompareSettings, MatrixSettings)
 
 
-def _of_a_fit(settings: OfFit | None, node: Marked, key: str, reading: Reading) -> OfFit | None:
+def _fit_reference(settings: OfFit | None, node: Marked, key: str, reading: Reading) -> OfFit | None:
     if settings is not None and settings.fit and settings.fit not in reading.names:
         hint = nearest(settings.fit, reading.names)
         reading.faults.add_at(node.content, key, "fit", f"there is no fit '{settings.fit}'", hint)
@@ -317,7 +319,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
     """The pipeline of files to come, and what each becomes. Errors as of `load_pipeline`."""
     per_file: list[EachFile] = []
 
-    def imagined(reader: TestReader) -> tuple[Test, ...]:
+    def imagine_tests(reader: TestReader) -> tuple[Test, ...]:
         """A test as each will be, so that settings are compared with it."""
         per_file.append(reader.each_file())
         if reader.rig is None and not len(reader.faults):
@@ -325,16 +327,16 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
         return (Test("", source, frf=per_file[0].frf),)
 
-    return replace(_load(path, overrides, imagined), tests=()), per_file[0]
+    return replace(_load(path, overrides, imagine_tests), tests=()), per_file[0]
 
 
 def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
     """The pipeline of a test followed while it runs: its rig is read. Errors as of `load_pipeline`."""
 
-    def to_come(reader: TestReader) -> tuple[Test, ...]:
+    def tests_to_come(reader: TestReader) -> tuple[Test, ...]:
         return () if reader.rig is None else (Test("", (SourceFile(path, reader.rig),)),)
 
-    return replace(_load(path, overrides, to_come), tests=())
+    return replace(_load(path, overrides, tests_to_come), tests=())
 
 
 def _load(

@@ -14,7 +14,7 @@ from labpipe.errors import DataError
 from labpipe.project import first_guess
 from labpipe.project.settings_reader import DECIDE
 from labpipe.raw_files.first_look import Excitation, look, round_down
-from labpipe.raw_files.table import Table, check_time
+from labpipe.raw_files.table import RawTable, check_time
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
@@ -42,7 +42,7 @@ class FirstLook:
     rows: FloatArray
     unused: tuple[str, ...] = ()
 
-    def with_forces_apart(self) -> FirstLook:
+    def move_forces_apart(self) -> FirstLook:
         """The same, with forces that act at no point of a response: its phase denies it."""
         apart = (replace(c, dof=c.key) if c.role == "input" else c for c in self.channels)
         return replace(self, channels=tuple(apart))
@@ -51,7 +51,7 @@ class FirstLook:
         return [number for number, channel in enumerate(self.channels) if channel.role == role]
 
 
-def first_look(table: Table) -> FirstLook:
+def first_look(table: RawTable) -> FirstLook:
     """The channels of a table with what its metadata say, its rate and time column, and its first rows."""
     names, rows = first_guess.first_rows(table)
     if rows.shape[0] < 2:

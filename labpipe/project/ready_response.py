@@ -21,7 +21,7 @@ from labpipe.raw_files.uff_read import read_frf_uff
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port
 from labpipe.registry import Registry
-from labpipe.spectra.damping import undamped
+from labpipe.spectra.damping import remove_window_damping
 from labpipe.spectra.ports import join
 from labpipe.spectra.quality import leaking_peaks
 from labpipe.spectra.windows import (
@@ -69,11 +69,11 @@ def is_response(path: Path) -> bool:
 
 def load_response(path: Path, name: str = "", conditions: dict[str, str] | None = None) -> FrequencyResponse:
     """A ready response of any program; *name*, *conditions*: of its test, in place of its own."""
-    response = _checked(_read(path))
-    return response.renamed(name or response.name, conditions or response.conditions)
+    response = _check(_read(path))
+    return response.rename(name or response.name, conditions or response.conditions)
 
 
-def _checked(response: FrequencyResponse) -> FrequencyResponse:
+def _check(response: FrequencyResponse) -> FrequencyResponse:
     return response if response.blocks else response.with_findings(leaking_peaks(response))
 
 
@@ -116,28 +116,28 @@ def load_described(
 ) -> FrequencyResponse:
     """The ready response of a test, joined where it lies in several files; DataError names file and line."""
 
-    def loaded(numbered: bool = False) -> list[FrequencyResponse]:
+    def load(numbered: bool = False) -> list[FrequencyResponse]:
         return [
             replace(_load_file(path, layout, Dofs(outputs, inputs), numbered), name=path.name)
             for path, outputs, inputs in zip(frf.paths, frf.outputs, frf.inputs, strict=True)
         ]
 
     try:
-        response = join(loaded()) if layout.each else loaded()[0]
+        response = join(load()) if layout.each else load()[0]
     except DataError:
         # A universal file of one point says x, one of several 1.x.
         if not layout.each or any(plain_suffix(path) not in UFF_SUFFIXES for path in frf.paths):
             raise
-        response = join(loaded(numbered=True))
+        response = join(load(numbered=True))
     if layout.excitation:
-        response = _of_random_blocks(response, layout, frf.paths[0])
+        response = _state_random_blocks(response, layout, frf.paths[0])
     elif layout.averages:
         response = _with_noise(response, layout.averages, frf.paths[0])
     if layout.windowed is not None:
-        response = undamped(response, layout.windowed.exponential)
+        response = remove_window_damping(response, layout.windowed.exponential)
     if layout.window and not response.line_correlation:
         response = replace(response, line_correlation=amplitude_correlation(layout.window))
-    return replace(_checked(response), name=name, conditions=conditions or response.conditions)
+    return replace(_check(response), name=name, conditions=conditions or response.conditions)
 
 
 def _with_noise(response: FrequencyResponse, averages: float, path: Path) -> FrequencyResponse:
@@ -153,11 +153,11 @@ def _with_noise(response: FrequencyResponse, averages: float, path: Path) -> Fre
         what = "holds a coherence of 1 at all lines, so 'averages' tells nothing"
         raise DataError(what, path, "export it with more digits, or leave `averages` out")
     variance = np.abs(response.matrix) ** 2 * (1 / response.coherence - 1) / (averages - 1)
-    held = BlockCovariance.uncorrelated(variance)
+    held = BlockCovariance.from_variance(variance)
     return replace(response, covariance=held, covariance_dof=averages - 1, averages=averages)
 
 
-def _of_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path) -> FrequencyResponse:
+def _state_random_blocks(response: FrequencyResponse, layout: FrfLayout, path: Path) -> FrequencyResponse:
     """An H1 of random data in blocks of one over the distance of its lines, with what these leave in it."""
     if response.blocks is not None:
         raise DataError("says itself what its blocks were", path, "leave `excitation` out")

@@ -14,7 +14,7 @@ from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import DIGEST
 from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.errors import ConfigError, DataError
-from labpipe.project.one_test import one_of_many
+from labpipe.project.one_test import read_one_of_many
 from labpipe.records.identification import Identification
 
 # How a format writes what its readers pass over; a format of another package has no stamp and is always
@@ -93,7 +93,7 @@ def write_test_report(
     from labpipe.report.build import build
 
     if identification.dataset is not None:
-        identification = one_of_many(identification, results, test)
+        identification = read_one_of_many(identification, results, test)
     write_document(build(identification, test), path, figures)
 
 

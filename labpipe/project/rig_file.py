@@ -11,10 +11,10 @@ from labpipe.errors import ConfigError
 from labpipe.project import calibrations
 from labpipe.project.derived_channels import SumReader, expand, read_constants
 from labpipe.project.marked_yaml import Marked, load_marked, text_of
-from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
+from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
 from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_value, readings, unit_of
 from labpipe.raw_files.frf_csv import port_of
-from labpipe.records.recording import ROLES, Channel, Term
+from labpipe.records.recording import ROLES, Channel, SumTerm
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
 from labpipe.records.settings import FileKind, Settings, Uncertainties, choice, quantity, setting, text
 from labpipe.records.uncertain import split_uncertainty
@@ -119,7 +119,7 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
             raise ConfigError(what, hint=nearest(name, names))
         places[name if name in names else of_role[0]] = dof
 
-    def moved(channel: Channel) -> Channel:
+    def move(channel: Channel) -> Channel:
         dof = places.get(channel.name)
         if dof is None:
             return channel
@@ -133,8 +133,8 @@ def move(rig: Rig, dofs: Mapping[str, str]) -> Rig:
         )
         return replace(channel, dof=dof, angle=port_of(dof).angle, uncertainties=uncertainties)
 
-    channels = tuple(replace(recorded, channel=moved(recorded.channel)) for recorded in rig.channels)
-    return replace(rig, channels=channels, derived=tuple(map(moved, rig.derived)))
+    channels = tuple(replace(recorded, channel=move(recorded.channel)) for recorded in rig.channels)
+    return replace(rig, channels=channels, derived=tuple(map(move, rig.derived)))
 
 
 def read_rig(tree: Marked, faults: Faults) -> Rig | None:
@@ -178,7 +178,7 @@ def _with_listed_sums(entries: dict[str, Marked], faults: Faults) -> Marked | No
             what = "a mapping of channels to factors is needed"
             faults.add(listed or node, join(key, "sum"), what, "sum: {f: 1, a: -30 kg +- 0.1 kg}")
         else:
-            factors = {member: in_one_line(factor).text for member, factor in listed.content.items()}
+            factors = {member: shorten_number(factor).text for member, factor in listed.content.items()}
             text = " + ".join(f"{factor} * {member}" for member, factor in factors.items())
             as_text = replace(listed, content=text, text=text)
             together[name] = replace(node, content={**node.without("sum").content, "derived": as_text})
@@ -230,7 +230,7 @@ def _read_sums(
     sums: dict[str, Marked], reader: SumReader, recorded: list[RigChannel], faults: Faults
 ) -> tuple[Channel, ...]:
     settings: dict[str, ChannelSettings] = {}
-    terms: dict[str, tuple[Term, ...]] = {}
+    terms: dict[str, tuple[SumTerm, ...]] = {}
     for name, entry in sums.items():
         for key in RECORDED_ONLY:
             if key in entry.content:
@@ -254,7 +254,7 @@ def _sum_channel(
     name: str,
     entry: Marked,
     settings: ChannelSettings,
-    sums: dict[str, tuple[Term, ...]],
+    sums: dict[str, tuple[SumTerm, ...]],
     recorded: list[RigChannel],
     faults: Faults,
 ) -> Channel | None:

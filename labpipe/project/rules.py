@@ -11,7 +11,7 @@ from typing import Any
 
 from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked, text_of
-from labpipe.project.settings_reader import Faults, join, listed
+from labpipe.project.settings_reader import Faults, join, list_entries
 from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
 from labpipe.records.identification import RuleDecision, RuleOutcome
 from labpipe.records.uncertain import qualities_of, split_uncertainty
@@ -286,7 +286,7 @@ def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[fl
 def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, ...]:
     if node is None:
         return (PASS,)
-    texts = [entry.text for entry in listed(node)]
+    texts = [entry.text for entry in list_entries(node)]
     for text in texts:
         if text not in OUTCOMES:
             faults.add(node, key, f"unknown outcome '{text}'", nearest(text, OUTCOMES))
@@ -297,7 +297,7 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
 
 def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:
     what = item.rpartition(".")[2]
-    nodes = listed(entry)
+    nodes = list_entries(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
         hint = "write for example '>= 0.95', '45.2 kN/m +- 1 %' or 'collinear'"
         faults.add(entry, key, "a rule is missing", hint)

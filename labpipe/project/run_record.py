@@ -22,8 +22,8 @@ from labpipe.artefacts.digest import file_sha256
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.json_file import BAD_ENTRY
-from labpipe.artefacts.writing import is_remote, only_one, output_file, without_staging
-from labpipe.errors import ConfigError, DataError, cut
+from labpipe.artefacts.writing import hold_lock, is_remote, output_file, without_staging
+from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.records.identification import Identification
 
 RECORD = "labpipe-runs.jsonl"
@@ -79,14 +79,14 @@ def record_of_runs(folder: Path) -> Path | None:
 
 
 @contextmanager
-def recorded(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
+def record_run(folder: Path, pipeline: Path) -> Iterator[list[Identification]]:
     """Record a run, where a record was begun: of what the caller puts into the list, or as failed."""
     made: list[Identification] = []
     try:
         yield made
     except BaseException as error:
         what = str(error).splitlines() or [type(error).__name__]
-        _add(folder, pipeline, None, f"failed: {cut(what[0])}")
+        _add(folder, pipeline, None, f"failed: {shorten(what[0])}")
         raise
     identification = made[0] if made else None
     outcome = "no result" if identification is None else identification.verdict
@@ -141,7 +141,7 @@ def _lock(folder: Path) -> Iterator[None]:
     with ExitStack() as stack:
         while True:
             try:
-                stack.enter_context(only_one(folder / LOCK))
+                stack.enter_context(hold_lock(folder / LOCK))
                 break
             except DataError:
                 if time.monotonic() > end:
@@ -165,7 +165,7 @@ def _read(path: Path) -> tuple[list[Run], str]:
             if runs[-1].line != line:
                 raise ValueError("another layout")
         except (*BAD_ENTRY, UnicodeDecodeError) as error:
-            raise DataError(f"line {number} is not a run ({cut(str(error))})", path) from None
+            raise DataError(f"line {number} is not a run ({shorten(str(error))})", path) from None
         digest = hashlib.sha256(line).hexdigest()
     return runs, digest
 

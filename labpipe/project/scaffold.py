@@ -53,7 +53,7 @@ NOT_SHOWN = (
 )
 
 
-def _quoted(content: object) -> str:
+def _quote(content: object) -> str:
     return json.dumps(content, ensure_ascii=False)
 
 
@@ -94,17 +94,17 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
         together = _rotor_lines(files, paths, running)
         files = [file for file, turns in zip(files, running, strict=True) if not turns]
         paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
-    joined = _one_run(files) if len(files) > 1 else None
+    joined = _join_files(files) if len(files) > 1 else None
     first = first_look(joined or open_table(files[0]))
     if joined:
-        paths = [f"{{join: {_quoted(paths)}}}"]
+        paths = [f"{{join: {_quote(paths)}}}"]
     pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
     if "model: modal" in pipeline:
-        first = first.with_forces_apart()
+        first = first.move_forces_apart()
     return Scaffold(_rig(first, files[0]), pipeline)
 
 
-def _one_run(files: Sequence[Path]) -> JoinedTable | None:
+def _join_files(files: Sequence[Path]) -> JoinedTable | None:
     """The files as one table where no two of them hold a channel of one name and unit: a force in one, its
     response in another. None for the recordings of several tests.
     """
@@ -144,9 +144,9 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
         "  tests:",
     ]
     for file, path, turns in zip(files, paths, running, strict=True):
-        name = _quoted(file.stem)
+        name = _quote(file.stem)
         if turns:
-            run = f"{{recording: {_quoted(path)}, rig: {DECIDE}, tacho: {DECIDE}}}"
+            run = f"{{recording: {_quote(path)}, rig: {DECIDE}, tacho: {DECIDE}}}"
             mark = f"{MARK} the rig file of its probes, and the channel of the tacho; load: where it has one"
             lines.append(f"    - {{name: {name}, kind: run-up, run: {run}}}    {mark}")
         else:
@@ -157,7 +157,7 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
 def _rig(first: FirstLook, path: Path) -> str:
     lines = [f"# The rig, as far as {path.name} describes it. Marked lines need a decision.", "name: My rig"]
     if first.time:
-        lines.append(f"time: {_quoted(first.time)}")
+        lines.append(f"time: {_quote(first.time)}")
     elif not first.rate:
         what = "the sampling rate, for example 20 kHz; the file does not state it"
         lines.append(f"sample_rate: {DECIDE}    {MARK} {what}")
@@ -178,7 +178,7 @@ def _rig(first: FirstLook, path: Path) -> str:
 
 def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     """A channel; *anchor*: '&' for a shared unit that is to be decided, '*' for a reference to it."""
-    entries = {"column": _quoted(channel.column), "quantity": channel.quantity, "unit": _quoted(channel.unit)}
+    entries = {"column": _quote(channel.column), "quantity": channel.quantity, "unit": _quote(channel.unit)}
     if anchor:
         entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
@@ -228,7 +228,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if not outputs:
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
-    lines.extend(_all_fit_lines(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
+    lines.extend(_lines_of_all_fits(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
     coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     return "\n".join([*lines, coupled]) + "\n"
 
@@ -254,7 +254,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
         "title: Dynamic stiffness of my rig",
         "rig: rig.yaml",
-        f"recordings: [{', '.join(_quoted(path) for path in paths)}]",
+        f"recordings: [{', '.join(_quote(path) for path in paths)}]",
         *_frf_lines(excitation, first.rate),
         "  result: spectra",
         "identify:",
@@ -269,8 +269,8 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
 
 def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
     if len(paths) == 1:
-        return [f"{kind}: {paths[0] if paths[0][0] == '{' else _quoted(paths[0])}"]
-    pairs = ((_quoted(file.stem), _quoted(path)) for file, path in zip(files, paths, strict=True))
+        return [f"{kind}: {paths[0] if paths[0][0] == '{' else _quote(paths[0])}"]
+    pairs = ((_quote(file.stem), _quote(path)) for file, path in zip(files, paths, strict=True))
     entries = (f"  - {{name: {name}, {kind}: {path}}}" for name, path in pairs)
     return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
 
@@ -304,7 +304,7 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
 Fits = Mapping[str, tuple[str, Proposal]]
 
 
-def _all_fit_lines(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
+def _lines_of_all_fits(force: str, fits: Fits, estimator: str = "ml") -> list[str]:
     """A fit for each response, as comments where no peak looks like a mode and others have one."""
     some = any(proposal.is_mode for _, proposal in fits.values())
     lines: list[str] = []
@@ -380,15 +380,15 @@ def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
         with suppress(DataError):
             whole = load_described(ReadyFrf(tuple(files), layout, dofs, dofs), layout, "", {})
             size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
-            lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quoted(list(paths))}"]
+            lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quote(list(paths))}"]
             return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
     fits = {
-        _quoted(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
+        _quote(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
         for row, port in enumerate(response.outputs)
     }
-    lines.extend(_all_fit_lines(_quoted(response.inputs[0].label), fits, estimator))
+    lines.extend(_lines_of_all_fits(_quote(response.inputs[0].label), fits, estimator))
     return "\n".join(lines) + "\n"
 
 
@@ -398,13 +398,13 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     lines = [*HEAD_OF_FRFS, *(f"# a guess, {guess}" for guess in guessed.guesses), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
-        lines.append(f"  each: {_quoted(list(paths))}")
+        lines.append(f"  each: {_quote(list(paths))}")
         where = "where the dofs stand in the files' names, for example 'H_{output}_{input}'"
         why = "a guess: the one part in which the names differ"
-        guess = _remark(f"  pattern: {_quoted(pattern)}", why)
+        guess = _remark(f"  pattern: {_quote(pattern)}", why)
         lines.append(guess if pattern else f"  pattern: {DECIDE}    {MARK} {where}")
     else:
-        lines.append(f"  file: {_quoted(paths[0])}")
+        lines.append(f"  file: {_quote(paths[0])}")
     if guessed.word:
         lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
     if guessed.conjugate:
@@ -414,12 +414,12 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     lines.append(_remark("  # window: hann", "of the blocks; beside it, of random data:"))
     lines.append(_remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"))
     lines += _unit_lines(guessed)
-    outputs, force = ["y"], _quoted(guessed.reference) if guessed.reference else "f"
+    outputs, force = ["y"], _quote(guessed.reference) if guessed.reference else "f"
     if guessed.elements:
         outputs = list(guessed.elements) if guessed.reference else _labels(guessed.elements)
         lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
         pairs = zip(outputs, guessed.elements.values(), strict=True)
-        lines += [f"    {_quoted(name)}: {_flow(parts)}" for name, parts in pairs]
+        lines += [f"    {_quote(name)}: {_flow(parts)}" for name, parts in pairs]
     elif len(paths) == 1:
         lines.append(_remark("  output: y", "the dof of the response: any name, such as 3.z"))
     if len(paths) == 1 or pattern:
@@ -430,8 +430,8 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     if len(paths) > 1:
         outputs = [f"{DECIDE}    {MARK} the dof of a response"]
         force = f"{DECIDE}    {MARK} the dof of the force"
-    fits = _fits_of(guessed, [*map(_quoted, outputs)] if guessed.reference else outputs)
-    return "\n".join([*lines, *_all_fit_lines(force, fits, "ls")]) + "\n"
+    fits = _fits_of(guessed, [*map(_quote, outputs)] if guessed.reference else outputs)
+    return "\n".join([*lines, *_lines_of_all_fits(force, fits, "ls")]) + "\n"
 
 
 def _fits_of(guessed: GuessedFrf, outputs: Sequence[str]) -> Fits:
@@ -494,14 +494,14 @@ def _order(guessed: GuessedFrf) -> int:
 
 
 def _flow(columns: Mapping[str, str]) -> str:
-    entries = (f"{kind}: {_quoted(name)}" for kind, name in columns.items())
+    entries = (f"{kind}: {_quote(name)}" for kind, name in columns.items())
     return f"{{{', '.join(entries)}}}"
 
 
 def _unit_lines(guessed: GuessedFrf) -> list[str]:
     """The form and the unit of FRFs: as the file says them, else to be decided."""
     if guessed.unit:
-        return [f"  unit: {_quoted(guessed.unit)}"]
+        return [f"  unit: {_quote(guessed.unit)}"]
     if guessed.label:
         form = [f"  form: {guessed.form}"] if guessed.form else []
         mark = f"{MARK} the unit of the numbers, for example g/N; the records say {guessed.label}"

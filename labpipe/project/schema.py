@@ -151,10 +151,10 @@ def _decision() -> dict[str, Any]:
 
 
 def bearing_schema() -> dict[str, Any]:
-    return of_kinds("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
+    return kinds_schema("bearing", "kind", {name: BEARINGS.load(name).settings for name in BEARINGS})
 
 
-def of_kinds(title: str, key: str, kinds: Mapping[str, type]) -> dict[str, Any]:
+def kinds_schema(title: str, key: str, kinds: Mapping[str, type]) -> dict[str, Any]:
     """A mapping whose entry *key* names its kind, and settings of all kinds."""
     options = []
     for name, owner in kinds.items():

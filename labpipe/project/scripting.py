@@ -14,7 +14,7 @@ import pandas as pd
 
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.measured_files import DECAY_SUFFIX, SPECTRA_SUFFIX, read_decays, read_spectra
-from labpipe.artefacts.mirrored import results_made
+from labpipe.artefacts.mirrored import make_results
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import OutputFolder, output_folder, path_of
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
@@ -30,7 +30,7 @@ from labpipe.project.ready_response import is_response, load_response
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import DEFAULT_ROLES, load_rig
 from labpipe.project.run import Manner, run as run_pipeline
-from labpipe.project.run_record import recorded
+from labpipe.project.run_record import record_run
 from labpipe.project.settings_reader import DECIDE, FILE_KINDS
 from labpipe.project.simulate import load_virtual_rig
 from labpipe.quantities import unit_of
@@ -188,7 +188,7 @@ def read(path: str | Path, rig: str | Path | Rig | None = None) -> Any:
     records = (TEXT_FILES.load(name)(path) for name in names)
     stored = next((record for record in records if record is not None), None)
     if stored is not None or rig is None:
-        return stored or _by_itself(path)
+        return stored or _read_alone(path)
     return _calibrate(path, rig if isinstance(rig, Rig) else load_rig(Path(rig)))
 
 
@@ -203,7 +203,7 @@ def _calibrate(path: Path, rig: Rig) -> Recording:
         return ingest(path, rig, output, path.stem, path.parent).in_memory()
 
 
-def _by_itself(path: Path) -> Recording:
+def _read_alone(path: Path) -> Recording:
     table = open_table(path)
     names, rows = first_rows(table)
     time = time_columns(names, rows)[:1] if table.sample_rate is None else []
@@ -214,10 +214,10 @@ def _by_itself(path: Path) -> Recording:
     if undecided:
         what = f"does not say quantity, unit or sensitivity of {', '.join(undecided)}"
         raise DataError(what, path, "read it with rig='rig.yaml'; labpipe init proposes one")
-    return _calibrate(path, Rig("", tuple(map(_as_stated, guessed)), time=next(iter(time), None)))
+    return _calibrate(path, Rig("", tuple(map(_state_channel, guessed)), time=next(iter(time), None)))
 
 
-def _as_stated(guessed: GuessedChannel) -> RigChannel:
+def _state_channel(guessed: GuessedChannel) -> RigChannel:
     role = guessed.role or DEFAULT_ROLES.get(guessed.quantity, "reference")
     channel = Channel(guessed.key, guessed.quantity, role, guessed.dof, AXIS_ANGLES.get(guessed.dof))
     # By the quantity: g of an acceleration is not a gram.
@@ -243,9 +243,9 @@ def run(
         with _scratch_output() as folder:
             return run_pipeline(settings, folder, manner)
     target = path_of(str(output))
-    with recorded(target, Path(pipeline)) as made:
+    with record_run(target, Path(pipeline)) as made:
         settings = load_pipeline(Path(pipeline), overrides)
-        with results_made(target) as here:
+        with make_results(target) as here:
             with output_folder(here) as folder:
                 made.append(run_pipeline(settings, folder, manner))
                 outdate_reports(folder, settings.report.formats)

@@ -171,7 +171,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     """
     before = len(faults)
     settings = settings_of(owner)
-    node = _under_new_keys(node, key, settings)
+    node = _rename_keys(node, key, settings)
     entries = faults.mapping(node, key)
     if entries:
         meanings = {name: declared.help for name, (declared, _) in settings.items()}
@@ -181,7 +181,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     for name, (setting, required) in settings.items():
         count = len(faults)
         if name in entries:
-            entry = in_one_line(entries[name], setting.kind)
+            entry = shorten_number(entries[name], setting.kind)
             uncertain = takes_uncertainty(owner, setting) and is_uncertain(entry.text)
             read = _read_uncertain if uncertain else read_setting
             fields[name] = read(entry, setting, join(key, name), faults)
@@ -196,7 +196,7 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
     return instance if len(faults) == before else None
 
 
-def _under_new_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
+def _rename_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
     """The mapping with the keys of this version, and a note for each of the version before."""
     if not isinstance(node.content, dict):
         return node
@@ -229,7 +229,7 @@ def _instance(
         return None
 
 
-def in_one_line(node: Marked, kind: str = "value") -> Marked:
+def shorten_number(node: Marked, kind: str = "value") -> Marked:
     """A number in its long form {value, std | limits | expanded, shape, k, dof, source} as its text."""
     if kind not in LONG_KINDS or not isinstance(node.content, dict) or "value" not in node.content:
         return node
@@ -335,14 +335,14 @@ def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False)
 def _objects(address: Path, node: Marked, key: str, faults: Faults) -> list[Path]:
     """The objects that a URL names, as `files_of`; StorageError where the storage does not answer."""
     # Recordings of this machine are found without an object storage.
-    from labpipe.artefacts.places import below, status
+    from labpipe.artefacts.places import list_below, status
 
     if not glob.has_magic(str(address)):
         objects = [address] if status(address) else []
     else:
         plain = next(number for number, part in enumerate(address.parts) if glob.has_magic(part))
         folder, pattern = Path(*address.parts[:plain]), address.parts[plain:]
-        paths = (there.path for there in below(folder))
+        paths = (there.path for there in list_below(folder))
         objects = [path for path in paths if glob_matches(path.parts[plain:], pattern)]
     if not objects:
         what = "no object matches" if glob.has_magic(node.text) else "no such object"
@@ -367,7 +367,7 @@ def plain_stem(path: Path) -> str:
     return Path(name).stem.removesuffix(".frf").removesuffix(".recording")
 
 
-def listed(node: Marked) -> list[Marked]:
+def list_entries(node: Marked) -> list[Marked]:
     """The entries of a list, or the only entry."""
     return node.content if isinstance(node.content, list) else [node]
 

@@ -24,7 +24,7 @@ from typing import Any
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.writing import output_file
-from labpipe.errors import ConfigError, DataError, cut
+from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project.report import drawn_from, stamped_source
 
 ROLES = ("measured", "checked", "approved")
@@ -102,7 +102,7 @@ def _check_valid(certificate: Any, where: str) -> None:
 def person(certificate: Any) -> str:
     """Whose certificate it is, in words."""
     names = certificate.subject.native
-    return cut(str(names.get("common_name") or certificate.subject.human_friendly))
+    return shorten(str(names.get("common_name") or certificate.subject.human_friendly))
 
 
 def sign(path: Path, key: Key, role: str, reason: str = "", timestamp: str = "") -> Path:
@@ -253,7 +253,7 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             roots += list(keys.load_certs_from_pemder([str(file)]))
             [root.subject.native for root in roots]  # A damaged one shows when it is read.
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is not a certificate ({cut(str(error))})", file) from None
+            raise ConfigError(f"is not a certificate ({shorten(str(error))})", file) from None
     lists, pem = [], _library("asn1crypto.pem")
     for file in trust.revoked:
         try:
@@ -262,7 +262,9 @@ def _context(trust: Trust, moment: datetime.datetime | None = None) -> Any:
             lists.append(crl.CertificateList.load(content))
             lists[-1].native  # noqa: B018 (a damaged one shows when it is read)
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise ConfigError(f"is not a list of revoked certificates ({cut(str(error))})", file) from None
+            raise ConfigError(
+                f"is not a list of revoked certificates ({shorten(str(error))})", file
+            ) from None
     return _library("pyhanko_certvalidator").ValidationContext(
         trust_roots=roots,
         moment=moment,
@@ -296,7 +298,7 @@ def _in_pdf(path: Path, trust: Trust) -> Iterator[Signature]:
     except ConfigError:
         raise
     except Exception as error:  # A damaged PDF raises whatever its place happens to be read as.
-        raise DataError(f"its signatures cannot be read ({cut(str(error))})", path) from None
+        raise DataError(f"its signatures cannot be read ({shorten(str(error))})", path) from None
     whole = _library("pyhanko.sign.validation.status").SignatureCoverageLevel.ENTIRE_FILE
     for number, (signature, status) in enumerate(states, 1):
         faults = _faults(status, trust)
@@ -314,8 +316,8 @@ def _statement(path: Path, status: Any, role: str, reason: str, faults: tuple[st
     return Signature(
         file=path,
         signer=person(status.signing_cert),
-        role=cut(role),
-        reason=cut(reason),
+        role=shorten(role),
+        reason=shorten(reason),
         time="" if time is None else time.astimezone(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         stamped=stamp is not None,
         faults=faults,
@@ -371,7 +373,7 @@ def _detach(path: Path, trust: Trust) -> Signature:
     except ConfigError:
         raise
     except Exception as error:  # Damaged DER raises whatever it happens to be read as.
-        raise DataError(f"is not a readable signature ({cut(str(error))})", path) from None
+        raise DataError(f"is not a readable signature ({shorten(str(error))})", path) from None
     faults = _faults(status, trust)
     if content is None:
         faults = (f"'{signed.name}', which it signs, is not there",)
@@ -384,7 +386,7 @@ def _detach(path: Path, trust: Trust) -> Signature:
             ([name for name in members if name not in now], "was signed, and is gone"),
             ([name for name in now if name not in members], "was added"),
         )
-        faults = tuple(f"{cut(name)}: {what}" for names, what in kinds for name in names) or faults
+        faults = tuple(f"{shorten(name)}: {what}" for names, what in kinds for name in names) or faults
     return _statement(signed, status, str(words.get("role", "")), str(words.get("reason", "")), faults)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from labpipe.errors import located
+from labpipe.errors import locate_errors
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
@@ -74,7 +74,7 @@ def _case_table(study: Study) -> Table:
             f"{case.median_error:.4g}",
             f"{case.failed} of {case.repeats}",
             _per_cent(case.success[0]),
-            _shown(case.rmse_over_bound, ".3f"),
+            _show(case.rmse_over_bound, ".3f"),
             _per_cent(case.coverage),
         )
         errors = printed.get(case.fit)
@@ -91,8 +91,8 @@ def _parameter_table(case: StudyCase) -> Table:
             f"{p.mean:.6g}",
             f"{p.bias:.2g}",
             f"{p.rmse:.3g}",
-            _shown(p.bound, ".3g"),
-            _shown(p.std_error, ".3g"),
+            _show(p.bound, ".3g"),
+            _show(p.std_error, ".3g"),
             _per_cent(p.coverage),
         )
         for p in case.parameters
@@ -143,7 +143,7 @@ def _curve(cases: Sequence[StudyCase], value: Callable[[StudyCase], float | None
     return curve(cases[0].fit, [100 * case.noise for case in cases], values, *look(number), marker=".")
 
 
-def _shown(value: float | None, form: str) -> str:
+def _show(value: float | None, form: str) -> str:
     return "" if value is None else format(value, form)
 
 
@@ -155,7 +155,7 @@ def run_studies(settings: StudySettings, work: Work) -> Studies:
     """The study of all fits of the pipeline; LabpipeError names the section."""
     pipeline = work.pipeline
     assert settings.virtual_rig is not None
-    with located(f"{pipeline.path}: study"):
+    with locate_errors(f"{pipeline.path}: study"):
         return (run_study(settings.virtual_rig, settings, pipeline.fits, pipeline.frf, work.tell, work.jobs),)
 
 
@@ -224,7 +224,7 @@ def _study_lines(study: Study) -> Iterator[str]:
     )
     yield f"  {'fit':<10}{columns}"
     for case in study.cases:
-        bound = _shown(case.rmse_over_bound, ".3f")
+        bound = _show(case.rmse_over_bound, ".3f")
         coverage = "" if case.coverage is None else f"{100 * case.coverage:.1f} %"
         failed = f"{case.failed} of {case.repeats}"
         yield (

@@ -45,7 +45,7 @@ class ReadyFrf:
 def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
     """The responses of the entry *key*: a file, a description, or a list; faults for unreadable ones."""
     frfs: list[ReadyFrf] = []
-    for entry in settings_reader.listed(node):
+    for entry in settings_reader.list_entries(node):
         if isinstance(entry.content, dict):
             frfs.extend(_describe(entry, key, faults))
         else:
@@ -56,7 +56,7 @@ def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> l
 def _all_files(
     node: Marked, key: str, faults: settings_reader.Faults, *, elsewhere: bool = False
 ) -> list[Path]:
-    items = settings_reader.listed(node)
+    items = settings_reader.list_entries(node)
     return [p for item in items for p in settings_reader.files_of(item, key, faults, elsewhere=elsewhere)]
 
 
@@ -169,7 +169,7 @@ class RecordingReader:
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
         sources: list[SourceFile] = []
         seen: dict[tuple[Path, ...], SourceFile] = {}
-        for entry in settings_reader.listed(node):
+        for entry in settings_reader.list_entries(node):
             for source in self._of_entry(entry, node, key):
                 if seen.get(source.paths) == source:
                     what = f"'{source.path.name}' is named twice"
@@ -285,7 +285,7 @@ class EachFile:
     pattern: str = ""
     repeats: str = ""
 
-    def named(self, path: Path) -> dict[str, str]:
+    def conditions_in_name(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
         return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
 
@@ -294,7 +294,7 @@ class EachFile:
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
             raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
-        conditions = {**self.conditions, **self.named(source.path)}
+        conditions = {**self.conditions, **self.conditions_in_name(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
 
 
@@ -345,7 +345,7 @@ class TestReader:
             except ConfigError as error:
                 unmatched.append(error)
                 test = Test(source.path.name)
-            named = per_file.named(source.path).items()
+            named = per_file.conditions_in_name(source.path).items()
             conditions = {part: text for part, text in named if part not in together}
             place = tuple(conditions.items()) if together else (("file", str(source.path)),)
             name = "-".join(conditions.values()) if together else test.name
@@ -385,7 +385,7 @@ class TestReader:
         if "together" not in entries:
             return []
         pattern = text_of(entries, "pattern")
-        parts = [node.text for node in settings_reader.listed(entries["together"])]
+        parts = [node.text for node in settings_reader.list_entries(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
                 what = f"the pattern has no part '{{{part}}}'"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.artefacts import measured_files
-from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX, Part, read_part
+from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX, DatasetPart, read_part
 from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
@@ -38,7 +38,7 @@ class Verified:
 
 
 @dataclass(frozen=True)
-class _Kind:
+class _ArtefactKind:
     """An artefact by the end of its name: how it is read, its digest, and the files that it names."""
 
     read: Callable[[Path], Any]
@@ -68,18 +68,22 @@ def _entries(key: str, path: Path) -> Sequence[Reference]:
     return [(entry["path"], entry["sha256"]) for entry in entries]
 
 
-def _measure(read: Callable[[Path], Any]) -> _Kind:
-    return _Kind(read, _digest_of, partial(_from, True), partial(_from, False))
+def _measure(read: Callable[[Path], Any]) -> _ArtefactKind:
+    return _ArtefactKind(read, _digest_of, partial(_from, True), partial(_from, False))
 
 
 def _digest_of(path: Path) -> str:
     return header_of(path).digest
 
 
-KINDS: Mapping[str, _Kind] = {
-    NAME: _Kind(read_identification, _json_digest, partial(_entries, "sources"), partial(_entries, "inputs")),
-    RESULTS_SUFFIX: _Kind(lambda path: read_part(Part(path, "", "")), _digest_of, _nothing, _nothing),
-    RECORDING_SUFFIX: _Kind(
+KINDS: Mapping[str, _ArtefactKind] = {
+    NAME: _ArtefactKind(
+        read_identification, _json_digest, partial(_entries, "sources"), partial(_entries, "inputs")
+    ),
+    RESULTS_SUFFIX: _ArtefactKind(
+        lambda path: read_part(DatasetPart(path, "", "")), _digest_of, _nothing, _nothing
+    ),
+    RECORDING_SUFFIX: _ArtefactKind(
         lambda path: open_recording(path).in_memory(), _digest_of, _header_inputs, _nothing
     ),
     measured_files.RESPONSE_SUFFIX: _measure(measured_files.read_response),
@@ -89,21 +93,21 @@ KINDS: Mapping[str, _Kind] = {
 # Further artefacts in JSON by the name of their file: from its path to its record, with DataError for a
 # damaged one.
 ARTEFACTS = Registry("artefact")
-FITS = _Kind(read_fits, _json_digest, _nothing, partial(_entries, "responses"))
+FITS = _ArtefactKind(read_fits, _json_digest, _nothing, partial(_entries, "responses"))
 
 
-def _kind(path: Path) -> _Kind | None:
+def _kind(path: Path) -> _ArtefactKind | None:
     if path.parent.name == FOLDER and path.suffix == ".json":
         return FITS
     if path.name in ARTEFACTS.names():
-        return _Kind(ARTEFACTS.load(path.name), _json_digest, _nothing, _nothing)
+        return _ArtefactKind(ARTEFACTS.load(path.name), _json_digest, _nothing, _nothing)
     for suffix, kind in KINDS.items():
         if path.name == suffix or (suffix[0] == "." and path.name.endswith(suffix)):
             return kind
     return None
 
 
-def verified(folder: Path, base: Path | None = None) -> Iterator[Verified]:
+def verify_artefacts(folder: Path, base: Path | None = None) -> Iterator[Verified]:
     """Every artefact below a folder. *base*: the folder of their pipeline, by default that in or above the
     results; paths of raw files are relative to it. DataError for no folder or no artefacts.
     """
@@ -125,7 +129,7 @@ def artefacts_below(folder: Path) -> list[Path]:
     return [path for path in below if _kind(path) is not None and not path.is_dir()]
 
 
-def _verify(path: Path, kind: _Kind, base: Path | None) -> Verified:
+def _verify(path: Path, kind: _ArtefactKind, base: Path | None) -> Verified:
     try:
         kind.read(path)
         digest = kind.digest(path)

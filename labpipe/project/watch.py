@@ -15,7 +15,7 @@ from pathlib import Path
 
 from labpipe.artefacts.dataset_file import parts, read_part, read_summary, write_parts
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
-from labpipe.artefacts.places import below
+from labpipe.artefacts.places import list_below
 from labpipe.artefacts.writing import is_remote, output_file, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.executors import Execute, serially
@@ -26,7 +26,7 @@ from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.tests import EachFile, SourceFile, Test
 from labpipe.raw_files.table import READERS
 from labpipe.raw_files.text_table import plain_suffix
-from labpipe.records.dataset import DatasetSummary, TestResult, summary_of, summed
+from labpipe.records.dataset import DatasetSummary, TestResult, sum_summaries, summary_of
 from labpipe.records.identification import Failed
 
 
@@ -61,7 +61,7 @@ def _files(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
 
 
 def _objects(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
-    objects = {status.path: status for status in below(folder)}
+    objects = {status.path: status for status in list_below(folder)}
     for path, status in objects.items():
         if path.match(names):
             marked = bool(marker) and path.with_name(path.name + marker) in objects
@@ -159,9 +159,9 @@ class Watch:
             hint = "name another folder, or run the whole archive with `labpipe run`"
             raise ConfigError("holds results of other settings", self.results, hint)
         written = parts(self.results)
-        self._summary = summed(read_summary(part) for part in written)
+        self._summary = sum_summaries(read_summary(part) for part in written)
         rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
-        for arrived in self._arrived():
+        for arrived in self._iterate_arrivals():
             self._paths[self.name_of(arrived.path)] = arrived.path
         self._done.update(row["test"] for row in rows)
         for row in rows:
@@ -175,7 +175,7 @@ class Watch:
         """New recordings that are marked complete, or old enough and the same as at the last look."""
         seen: dict[Path, Arrived] = {}
         self.counts.arriving = 0
-        for arrived in self._arrived():
+        for arrived in self._iterate_arrivals():
             seen[arrived.path] = arrived
             still = not self.settings.marker and self.clock() - arrived.changed >= self.settings.settle
             at_once = self.settings.settle == 0 or self.settings.once
@@ -185,7 +185,7 @@ class Watch:
                 self.counts.arriving += 1
         self._seen = seen
 
-    def _arrived(self) -> Iterator[Arrived]:
+    def _iterate_arrivals(self) -> Iterator[Arrived]:
         home = self.home or self.results
         arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
         new = (

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from numpy.linalg import LinAlgError
 
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, FitError, LabpipeError, located
+from labpipe.errors import ConfigError, FitError, LabpipeError, locate_errors
 from labpipe.estimation.settings import FitSettings
 from labpipe.project.measured import MeasuredTest
 from labpipe.project.pipeline_file import Pipeline, read_fit
@@ -111,7 +111,7 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
             if failure.name in tests:
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"
                 raise FitError(what, where, "mend that one first")
-    with located(where):
+    with locate_errors(where):
         settings = settings.kind.begin(settings, fits)
         if named is not None:
             settings.kind.check_after(settings, named)

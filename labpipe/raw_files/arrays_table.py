@@ -87,15 +87,15 @@ def rate_of(scalars: Mapping[str, float], where: Path, units: Mapping[str, str])
     DataError when they contradict each other or are not positive.
     """
 
-    def named(names: tuple[str, ...], si_unit: str) -> dict[str, float]:
+    def name_columns(names: tuple[str, ...], si_unit: str) -> dict[str, float]:
         return {
             name: value * _factor(units.get(name, ""), si_unit)
             for name, value in scalars.items()
             if (last := _last(name).lower()) in names or last.removeprefix("time_") in names
         }
 
-    steps = named(STEPS, "s").items()
-    rates_by_name = named(RATES, "Hz") | {name: 1 / step if step else 0.0 for name, step in steps}
+    steps = name_columns(STEPS, "s").items()
+    rates_by_name = name_columns(RATES, "Hz") | {name: 1 / step if step else 0.0 for name, step in steps}
     rates = list(rates_by_name.values())
     if not rates:
         return None
@@ -157,7 +157,7 @@ def describe(
 
 
 class ArraysTable:
-    """Columns of named arrays. Satisfies Table. *unused*: vectors of other lengths, with these; *texts*
+    """Columns of named arrays. Satisfies RawTable. *unused*: vectors of other lengths, with these; *texts*
     beside the numbers may say names, units and sensitivities.
     """
 

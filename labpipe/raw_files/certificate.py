@@ -94,7 +94,7 @@ def read_certificate(path: Path, number: str = "", sha256: str = "") -> Certific
     if sha256 and hashlib.sha256(content).hexdigest() != sha256.lower():
         raise UnitError(f"'{path.name}' is not the file of that SHA-256", "use the file as it was issued")
     if path.suffix.lower() == ".csv":
-        return _of_table(content, path.name, number)
+        return _read_table(content, path.name, number)
     certificate = _of_xml(content, path.name)
     if number and certificate.number != number:
         raise UnitError(f"'{path.name}' is the certificate '{certificate.number}', not '{number}'")
@@ -299,8 +299,10 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     if not stated:
         return None
     element, size, factor = stated[0]
-    sizes = _spread(_listing(_only(element, f"{size}{end}", SI)), count)
-    factors = _spread(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
+    sizes = _repeat_single(_listing(_only(element, f"{size}{end}", SI)), count)
+    factors = (
+        _repeat_single(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
+    )
     return _quotients(sizes, factors)
 
 
@@ -310,7 +312,7 @@ def _quotients(sizes: Sequence[float], factors: Sequence[float]) -> tuple[float,
     return tuple(u / k for u, k in zip(sizes, factors, strict=True))
 
 
-def _spread(values: tuple[float, ...], count: int) -> tuple[float, ...]:
+def _repeat_single(values: tuple[float, ...], count: int) -> tuple[float, ...]:
     if len(values) not in (1, count):
         raise UnitError(f"{len(values)} entries stand beside {count} values")
     return values * count if len(values) == 1 else values
@@ -380,7 +382,7 @@ OPTIONAL = ("serial", "valid_until", "frequency_hz", "phase_deg", "phase_uncerta
 FREQUENCY, PHASE = "frequency_hz", "phase_deg"
 
 
-def _of_table(content: bytes, name: str, number: str) -> Certificate:
+def _read_table(content: bytes, name: str, number: str) -> Certificate:
     rows = _rows(content, name)
     numbers = list(dict.fromkeys(row["certificate"] for row in rows))
     if not number and len(numbers) > 1:

@@ -56,7 +56,7 @@ def look(force: FloatArray, sample_rate: float) -> Excitation:
     period = find_period(force)
     if period:
         whole = force[: force.size // period * period].reshape(-1, period)
-        lines = _excited(np.abs(fft.rfft(whole.mean(axis=0))) ** 2) * sample_rate / period
+        lines = _excited_lines(np.abs(fft.rfft(whole.mean(axis=0))) ** 2) * sample_rate / period
         return Excitation("periodic", period, (float(lines[0]), float(lines[-1])), len(whole))
     length = round_down(max(force.size // BLOCKS, 2))
     n = max(force.size // BLOCKS, 8)
@@ -109,14 +109,14 @@ def round_down(samples: int) -> int:
     return max(step * decade for step in (1, 2, 5) if step * decade <= samples)
 
 
-def _excited(power: FloatArray) -> IntArray:
+def _excited_lines(power: FloatArray) -> IntArray:
     above_zero = np.append(0.0, power[1:])
     return np.flatnonzero(above_zero > EXCITED * above_zero.max())
 
 
 def _band(blocks: FloatArray, sample_rate: float) -> tuple[float, float]:
     power = np.mean(np.abs(fft.rfft(blocks, axis=1)) ** 2, axis=0)
-    lines = _excited(power) * sample_rate / blocks.shape[1]
+    lines = _excited_lines(power) * sample_rate / blocks.shape[1]
     if not lines.size:
         # A force that does not vary, or holds no number, has power nowhere.
         return 0.0, 0.4 * sample_rate

@@ -16,7 +16,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import UnitError, may_agree, parse_value
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_text
-from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FORMS, FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.registry import nearest
 
@@ -63,7 +63,7 @@ def read_frf_csv(path: Path, name: str = "") -> FrequencyResponse:
         outputs=ports("response", outputs),
         inputs=ports("force", inputs),
         form=form,
-        covariance=None if variance is None else uncorrelated(variance),
+        covariance=None if variance is None else diagonal_covariance(variance),
         coherence=checked_coherence(part("coh"), path),
         name=name,
     )

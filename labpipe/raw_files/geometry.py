@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.uff import UFF_SUFFIXES, real
 from labpipe.records.rig import AXES, Geometry
@@ -105,10 +105,10 @@ def read_geometry(path: Path) -> Geometry:
     """The points and lines of a file; DataError with the place of a fault."""
     if not path.exists():
         raise DataError("no such file", path)
-    with located(path):
+    with locate_errors(path):
         return (
             read_geometry_uff(path) if path.suffix.lower() in UFF_SUFFIXES else read_geometry_csv(path)
-        ).checked()
+        ).check_points()
 
 
 def read_geometry_csv(path: Path) -> Geometry:

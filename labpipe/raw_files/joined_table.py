@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
-from labpipe.raw_files.table import Table, unique
+from labpipe.raw_files.table import RawTable, unique
 from labpipe.records.finding import Finding, note
 from labpipe.records.rig import time_scale
 
@@ -25,12 +25,12 @@ MOST_GAPS = 0.05
 
 
 class JoinedTable:
-    """The columns of several tables. Satisfies Table. A name that several files have is STEM/NAME for all
+    """The columns of several tables. Satisfies RawTable. A name that several files have is STEM/NAME for all
     but the first. With *time*, the name of their common time column, rows are those of equal times;
     without, row 1 stands beside row 1.
     """
 
-    def __init__(self, tables: Sequence[Table], time: str | None) -> None:
+    def __init__(self, tables: Sequence[RawTable], time: str | None) -> None:
         self.path = tables[0].path
         self._tables, self._time = tuple(tables), time
         self._place: dict[str, tuple[int, str]] = {}
@@ -144,11 +144,11 @@ TRUE_SHARE = 0.2
 
 
 class ResampledTable:
-    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies Table. Rows reach
-    over what all of *tables* cover. `findings` says what was resampled, once it has been read.
+    """Channels at several rates of one file at one *rate* [Hz], by cubic splines. Satisfies RawTable. Rows
+    reach over what all of *tables* cover. `findings` says what was resampled, once it has been read.
     """
 
-    def __init__(self, tables: Sequence[Table], rate: float) -> None:
+    def __init__(self, tables: Sequence[RawTable], rate: float) -> None:
         self.path = tables[0].path
         self.sample_rate: float | None = rate
         self._tables = tuple(tables)
@@ -210,11 +210,11 @@ class ResampledTable:
         )
 
 
-def _time_of(table: Table) -> str:
+def _time_of(table: RawTable) -> str:
     return "" if table.sample_rate is not None else table.columns[0]
 
 
-def _times_and_rows(table: Table, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+def _times_and_rows(table: RawTable, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     time = _time_of(table)
     rows = np.concatenate(list(table.chunks([time, *names] if time else names)))
     if rows.shape[0] < 2 or not np.isfinite(rows).all():

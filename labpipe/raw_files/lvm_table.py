@@ -54,7 +54,7 @@ class LvmHeader:
 
 
 class LvmTable:
-    """The channels of a LabVIEW measurement file. Satisfies Table. Without columns of X values the rate is
+    """The channels of a LabVIEW measurement file. Satisfies RawTable. Without columns of X values the rate is
     that of Delta_X; with them it is for the rig's `time: X_Value`, and further segments follow in their
     order. Of several rates the table holds the channels of the highest, or of *rate* [Hz]; `others` are the
     tables of the other ones. DataError for another kind of text, and for segments without X values.
@@ -159,7 +159,7 @@ class LvmTable:
         for place in places:
             text = fields[place].strip() if place < len(fields) else ""
             try:
-                row.append(float(_pointed(text, self._header.decimal)) if text else np.nan)
+                row.append(float(_use_decimal_point(text, self._header.decimal)) if text else np.nan)
             except ValueError:
                 what = f"column '{self._header.titles[place]}': '{text[:40]}' is not a number"
                 raise DataError(what, f"{self.path}:{number}") from None
@@ -213,19 +213,19 @@ def _header(
     return header(used=tuple(used), sample_rate=rate)
 
 
-def _pointed(text: str, decimal: str) -> str:
+def _use_decimal_point(text: str, decimal: str) -> str:
     return text.replace(",", ".") if decimal == "," else text
 
 
 def _seconds(text: str, decimal: str) -> float:
     try:
-        return float(_pointed(text, decimal) or 0)
+        return float(_use_decimal_point(text, decimal) or 0)
     except ValueError:
         return 0.0
 
 
 def _rate(steps: Sequence[str], decimal: str, path: Path) -> float | None:
-    texts = {_pointed(step, decimal) for step in steps if step}
+    texts = {_use_decimal_point(step, decimal) for step in steps if step}
     if not texts:
         return None
     try:

@@ -102,13 +102,13 @@ class Scaled:
         return np.where(stored == self._fill, np.nan, stored * self._scale + self._offset)
 
 
-def _unpacked(item: h5py.Dataset) -> Any:
+def _unpack(item: h5py.Dataset) -> Any:
     return Scaled(item) if item.dtype.kind in "iuf" and not PACKED.keys().isdisjoint(item.attrs) else item
 
 
 def _value(file: h5py.File, item: h5py.Dataset) -> Any:
     kind = item.attrs.get("MATLAB_class", b"")
-    raw = _unpacked(item)[()]
+    raw = _unpack(item)[()]
     if kind == b"char":
         return np.array("".join(map(chr, np.asarray(raw).T.ravel())))
     if h5py.check_ref_dtype(item.dtype) is not None:
@@ -349,10 +349,10 @@ def hdf5_table(path: Path) -> ArraysTable:
 
 def _hdf5_texts(file: h5py.File) -> dict[str, list[str]]:
     texts = {name: item for name, item in _data_sets(file).items() if h5py.check_string_dtype(item.dtype)}
-    return {name: _decoded(item[()]) for name, item in texts.items() if item.size < MOST_TEXTS}
+    return {name: _decode(item[()]) for name, item in texts.items() if item.size < MOST_TEXTS}
 
 
-def _decoded(values: Any) -> list[str]:
+def _decode(values: Any) -> list[str]:
     return [
         part.decode("utf-8", "replace") if isinstance(part, bytes) else str(part)
         for part in np.atleast_1d(values).ravel()
@@ -367,7 +367,7 @@ def _numeric_sets(file: h5py.File) -> dict[str, Any]:
         if name[0] == "#" or is_text or "MATLAB_object_decode" in item.attrs:
             continue
         if item.dtype.kind in "iuf" if item.shape == () else item.shape and is_numeric(item):
-            sets[name] = _unpacked(item)
+            sets[name] = _unpack(item)
     return sets
 
 
@@ -385,7 +385,7 @@ def _attribute(sets: dict[str, Any], name: str, keys: tuple[str, ...]) -> str:
     base, _, number = name.rpartition("_")
     item = sets.get(name, sets.get(base))
     attributes = {} if item is None else {key.lower(): value for key, value in item.attrs.items()}
-    texts = next((_decoded(attributes[key]) for key in keys if key in attributes), [])
+    texts = next((_decode(attributes[key]) for key in keys if key in attributes), [])
     place = int(number) - 1 if len(texts) > 1 and name not in sets else 0
     return texts[place] if len(texts) == 1 or (name not in sets and place < len(texts)) else ""
 

@@ -64,7 +64,7 @@ def growing_rows(
 
 class MdfTable:
     """The numeric channels of the longest group, or of *group*, and their times as the column "time [s]".
-    Satisfies Table. `others` are the tables of the other groups.
+    Satisfies RawTable. `others` are the tables of the other groups.
     """
 
     def __init__(self, path: Path, group: int | None = None) -> None:

@@ -33,7 +33,7 @@ _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 class ParquetTable:
     """The columns of a Parquet table that hold numbers, states (0 or 1), or times, in seconds since the
-    midnight before the first. Satisfies Table.
+    midnight before the first. Satisfies RawTable.
     """
 
     def __init__(self, path: Path) -> None:
@@ -99,7 +99,7 @@ def _seconds(column: pa.Array, name: str, midnights: dict[str, int]) -> FloatArr
 
 
 class WavTable:
-    """The tracks "1", "2", ... of a WAV file as shares of full scale. Satisfies Table."""
+    """The tracks "1", "2", ... of a WAV file as shares of full scale. Satisfies RawTable."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -106,7 +106,7 @@ class EndValues:
         if self._first_in_runs < 0:
             self._first_in_runs = start + begin - carried
 
-    def clipped(self) -> tuple[int, int]:
+    def count_clipped(self) -> tuple[int, int]:
         """(clipped samples, first of them); none where the extreme is zero: there a window has set the force
         to zero, or nothing acted; nor where a signal is a step or a switch between two values, or the samples
         are the slow turn of one in few steps.
@@ -144,7 +144,7 @@ class AtLimit:
             self._first = start + int(np.argmax(beyond))
         self._count += int(beyond.sum())
 
-    def clipped(self) -> tuple[int, int]:
+    def count_clipped(self) -> tuple[int, int]:
         return self._count, self._first
 
 
@@ -317,7 +317,7 @@ class ChannelScreen:
         return tuple(faults)
 
     def _clipping(self, number: int, name: str) -> list[Finding]:
-        runs = [end.clipped() for end in self._ends[number]]
+        runs = [end.count_clipped() for end in self._ends[number]]
         count = sum(n for n, _ in runs)
         if not count:
             return []

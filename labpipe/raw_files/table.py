@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import DataError, LabpipeError, cut
+from labpipe.errors import DataError, LabpipeError, shorten
 from labpipe.raw_files.text_table import check_filled, plain_suffix
 from labpipe.records.rig import time_scale
 from labpipe.registry import Registry, nearest
@@ -61,7 +61,7 @@ def readable(path: Path) -> Iterator[None]:
 def _unreadable(path: Path, error: Exception) -> DataError:
     text = (str(error).splitlines() or [""])[0].rstrip(".")
     return DataError(
-        f"cannot be read ({cut(': '.join(filter(None, (type(error).__name__, text))))})", path, DAMAGED
+        f"cannot be read ({shorten(': '.join(filter(None, (type(error).__name__, text))))})", path, DAMAGED
     )
 
 
@@ -75,7 +75,7 @@ def guard(read: Callable[..., Read], path: Path, *arguments: Any) -> Read:
 
 
 class GuardedTable:
-    """A table whose chunks are read within the boundary. Satisfies Table."""
+    """A table whose chunks are read within the boundary. Satisfies RawTable."""
 
     def __init__(self, table: Any) -> None:
         self._table = table
@@ -189,7 +189,7 @@ TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc")
 READERS = Registry("reader")
 
 
-class Table(Protocol):
+class RawTable(Protocol):
     """Columns by name; *units* and *sample_rate* [Hz] where the file states them; missing numbers are NaN."""
 
     path: Path
@@ -202,7 +202,7 @@ class Table(Protocol):
         ...
 
 
-def open_table(path: Path) -> Table:
+def open_table(path: Path) -> RawTable:
     """The table of a file by its suffix; DataError for a missing file, a folder, or an unknown kind."""
     if path.is_dir():
         raise DataError("is a folder, not a file", path)
@@ -215,11 +215,11 @@ def open_table(path: Path) -> Table:
     if not path.is_file():
         raise DataError("is not a regular file", path)
     check_filled(path)
-    table: Table = GuardedTable(guard(READERS.load(suffix), path))
+    table: RawTable = GuardedTable(guard(READERS.load(suffix), path))
     return table
 
 
-class QuickTable(Table, Protocol):
+class QuickTable(RawTable, Protocol):
     """A table whose file states its *n_row* rows and is read as fast as labpipe's own recordings, column by
     column.
     """
@@ -233,7 +233,7 @@ class QuickTable(Table, Protocol):
         ...
 
 
-def as_quick(table: Table) -> QuickTable | None:
+def as_quick(table: RawTable) -> QuickTable | None:
     """The table where it is a quick one; None for any other."""
     return cast(QuickTable, table) if getattr(table, "n_row", None) is not None else None
 
@@ -253,7 +253,7 @@ def check_names(path: Path, required: Sequence[str], columns: Sequence[str]) -> 
             raise DataError(f"no column '{name}'", path, nearest(name, columns))
 
 
-def check_columns(table: Table, required: Sequence[str]) -> None:
+def check_columns(table: RawTable, required: Sequence[str]) -> None:
     """DataError for a required column that is missing (with the nearest name) or not unique."""
     for name in required:
         count, unused = table.columns.count(name), getattr(table, "unused", {})
@@ -272,7 +272,7 @@ def check_columns(table: Table, required: Sequence[str]) -> None:
             raise DataError(f"the column '{name}' appears {count} times", table.path, "rename one of them")
 
 
-def check_time(table: Table, time: str | None) -> None:
+def check_time(table: RawTable, time: str | None) -> None:
     """DataError where the *time* column has the unit of something else; there may be none."""
     if table.units.get(time or "") == "Hz":
         hint = "the file holds a spectrum; a recording is needed, or an FRF under `frfs:`"

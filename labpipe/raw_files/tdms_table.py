@@ -32,7 +32,7 @@ BESIDE = 0.1
 
 
 class TdmsTable:
-    """The longest channels, by name, or "group/name" for a repeated name. Satisfies Table. *sensitivities*
+    """The longest channels, by name, or "group/name" for a repeated name. Satisfies RawTable. *sensitivities*
     where properties state them; *unused*: shorter channels, with their numbers of values.
     """
 

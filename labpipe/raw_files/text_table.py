@@ -23,7 +23,7 @@ import pyarrow.csv as pc
 from labpipe.arrays import FloatArray
 from labpipe.artefacts.parquet import numpy_array
 from labpipe.artefacts.writing import text_of
-from labpipe.errors import DataError, LabpipeError, cut
+from labpipe.errors import DataError, LabpipeError, shorten
 from labpipe.quantities import UnitError, parse_unit
 
 PACKED = (".gz", ".zst")
@@ -74,7 +74,7 @@ def check_filled(path: Path) -> None:
         raise DataError("the file is empty", path)
 
 
-def damaged(path: Path, error: Exception) -> DataError:
+def damaged_error(path: Path, error: Exception) -> DataError:
     """The error of a compressed file that cannot be decompressed."""
     what = f"cannot be unpacked ({str(error).splitlines()[0][:80]})"
     return DataError(what, path, "the file is damaged or cut off")
@@ -177,7 +177,7 @@ IsNumber = Callable[[str, str], bool]
 
 
 @dataclass(frozen=True)
-class Layout:
+class TextLayout:
     """*names* has one entry per field of a data row (empty after a trailing delimiter); *first_line* is
     0-based. *stamps*: the fields that hold times of day or dates; *texts*: those that hold no numbers.
     """
@@ -240,7 +240,7 @@ class _Candidate:
             [fields[n] for n in self.numeric], self.decimal, number
         )
 
-    def filled(self, lines: list[str]) -> tuple[int, ...]:
+    def filled_fields(self, lines: list[str]) -> tuple[int, ...]:
         """The fields that are missing in some rows at most."""
         rows = [fields_of(lines[n], self.delimiter) for n in self.rows]
         return tuple(n for n in range(self.n_field) if not all(is_missing(row[n]) for row in rows))
@@ -279,7 +279,7 @@ class _Candidate:
         return range(self.n_field - ends, self.n_field + 1)
 
 
-def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
+def find_layout(path: Path, number: IsNumber = is_cell) -> TextLayout:
     """The layout of a text table; DataError when it is empty, no text, or has no rows of numbers. *number*
     knows what a number is.
     """
@@ -295,7 +295,10 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     if best is None:
         raise DataError("no row of numbers in it", path, "a table of numbers below one header line is needed")
     delimiter, decimal = best.delimiter, best.decimal
-    first, filled = next(n for n, line in enumerate(lines) if best.holds(line, number)), best.filled(lines)
+    first, filled = (
+        next(n for n, line in enumerate(lines) if best.holds(line, number)),
+        best.filled_fields(lines),
+    )
     # Remarks beside the first rows, in columns without a number, make no header of them.
     while first and best.holds_beside(lines[first - 1], filled, number):
         first -= 1
@@ -304,10 +307,10 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> Layout:
     # Times of day are read as seconds, whatever stands in brackets.
     units |= {names[n]: "s" for n in stamps if names[n]}
     texts = tuple(n for n in range(best.n_field) if n not in best.numeric)
-    return Layout(encoding, delimiter, decimal, names, units, first, stamps, texts)
+    return TextLayout(encoding, delimiter, decimal, names, units, first, stamps, texts)
 
 
-def rows_of_fields(path: Path, layout: Layout) -> Iterator[tuple[int, list[str]]]:
+def rows_of_fields(path: Path, layout: TextLayout) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of every row. DataError for one with more or fewer fields than names."""
     with open_text(path, layout.encoding) as lines:
         for number, line in enumerate(lines, 1):
@@ -349,7 +352,7 @@ def _head(path: Path) -> tuple[str, list[str]]:
         with open_unpacked(path) as stream:
             head = stream.read(HEAD_BYTES)
     except OSError as error:
-        raise damaged(path, error) if path.suffix.lower() in PACKED else error from None
+        raise damaged_error(path, error) if path.suffix.lower() in PACKED else error from None
     if not head.strip():
         raise DataError("the file is empty", path)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -473,7 +476,7 @@ BLOCK_BYTES = 1 << 21
 
 
 class CsvTable:
-    """A text table of numbers. Satisfies Table; a faulty row is reported with its line number."""
+    """A text table of numbers. Satisfies RawTable; a faulty row is reported with its line number."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -496,10 +499,12 @@ class CsvTable:
         except pa.ArrowInvalid as error:
             raise self._locate(columns, str(error)) from None
         except UnicodeError as error:
-            what = f"is not {self.layout.encoding.upper()} text as its first bytes say ({cut(str(error))})"
+            what = (
+                f"is not {self.layout.encoding.upper()} text as its first bytes say ({shorten(str(error))})"
+            )
             raise DataError(what, self.path, "the file is damaged or cut off") from None
         except OSError as error:
-            raise damaged(self.path, error) if self.path.suffix.lower() in PACKED else error from None
+            raise damaged_error(self.path, error) if self.path.suffix.lower() in PACKED else error from None
 
     def rows_of(self, text: bytes, columns: Sequence[str]) -> FloatArray:
         """The numbers (n, n_column) [unit of the file] of whole lines that follow in a file that grows."""
@@ -510,7 +515,7 @@ class CsvTable:
         try:
             rows = list(self._rows(source, columns, 0, self._clocks))
         except pa.ArrowInvalid as error:
-            reason = cut(str(error).splitlines()[0])
+            reason = shorten(str(error).splitlines()[0])
             raise DataError(f"a line that was appended cannot be read: {reason}", self.path) from None
         return np.concatenate([np.empty((0, len(columns))), *rows])
 

@@ -119,7 +119,7 @@ class _Lines:
         self.position = end + 1
         return _decode(line)
 
-    def needed(self, count: int) -> list[str]:
+    def take(self, count: int) -> list[str]:
         """The next lines; DataError at the end of the file."""
         lines = [self.next() for _ in range(count)]
         complete = [line for line in lines if line is not None]
@@ -171,7 +171,7 @@ def records_55(path: Path) -> list[list[str]]:
         while (line := lines.next()) is not None:
             if line.strip() != "-1":
                 continue
-            kind, begin = lines.needed(1)[0].strip(), lines.position
+            kind, begin = lines.take(1)[0].strip(), lines.position
             if kind.startswith("58"):
                 return []
             _to_end(lines, kind)
@@ -190,7 +190,7 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
         if line.strip() != "-1":
             what = f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'"
             raise DataError(what, lines.path)
-        kind = lines.needed(1)[0]
+        kind = lines.take(1)[0]
         if kind[:6].strip() == "58":
             number += 1
             yield _record(lines, kind, number, scale)
@@ -207,7 +207,7 @@ def _to_end(lines: _Lines, kind: str) -> None:
 
 
 def _scale(lines: _Lines) -> UffScale:
-    text = " ".join(lines.needed(2)[1:]).upper().replace("D", "E")
+    text = " ".join(lines.take(2)[1:]).upper().replace("D", "E")
     try:
         length, force = (float(text[n : n + 25]) for n in (0, 25))
     except ValueError:
@@ -218,7 +218,7 @@ def _scale(lines: _Lines) -> UffScale:
 
 
 def _record(lines: _Lines, kind: str, number: int, scale: UffScale | None) -> UffRecord:
-    header = lines.needed(_HEADER_LINES)
+    header = lines.take(_HEADER_LINES)
     title = _name(header[0])
     try:
         point, form = _columns(header[5], _POINT), _columns(header[6], _FORM)
@@ -319,7 +319,7 @@ def read_numbers(
 
 def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None, FloatArray]:
     columns = layout.parts + (not layout.even)
-    numbers = _split(text.upper().replace(b"D", b"E"), layout)
+    numbers = _split_numbers(text.upper().replace(b"D", b"E"), layout)
     if numbers.size != columns * layout.n_value:
         what = f"{numbers.size // columns} values, {layout.n_value} are stated: it is cut off or damaged"
         raise ValueError(what)
@@ -327,7 +327,7 @@ def _text_numbers(text: bytes, layout: NumberLayout) -> tuple[FloatArray | None,
     return (None, table) if layout.even else (table[:, 0], table[:, 1:])
 
 
-def _split(text: bytes, layout: NumberLayout) -> FloatArray:
+def _split_numbers(text: bytes, layout: NumberLayout) -> FloatArray:
     """Numbers separated by blanks or, where fields touch (long exponents), by their widths."""
     try:
         return np.array(text.split(), dtype=np.float64)

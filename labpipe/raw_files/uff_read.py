@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.quantities import UnitError, parse_unit, parse_value, unit_of
 from labpipe.raw_files import uff
 from labpipe.raw_files.frf_csv import checked_coherence, cube
@@ -55,7 +55,7 @@ def read_frf_uff(
     """
     records = uff.read_uff(path)
     frfs = [record for record in records if record.function == uff.FRF]
-    with located(path):
+    with locate_errors(path):
         if not frfs:
             hint = "time records belong under recordings: in a pipeline"
             raise DataError("holds no FRF records", hint=hint)
@@ -188,7 +188,7 @@ def _dof(node: int, axis: int, several: bool) -> str:
 
 
 class UffTable:
-    """Time records of equal length of one file. Satisfies Table."""
+    """Time records of equal length of one file. Satisfies RawTable."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

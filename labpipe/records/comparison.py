@@ -70,7 +70,7 @@ class ComparedBand:
 
 
 @dataclass(frozen=True)
-class Curve:
+class QuantityCurve:
     """A quantity over frequency [Hz], (n_frequency,) each, SI; empty where missing.
 
     *measured* with *low* and *high* of its 95 % intervals; the *theory*; the theory *matched* to the
@@ -132,7 +132,7 @@ class Comparison:
     line: tuple[tuple[float, float], ...] = ()
     overlays: tuple[Overlay, ...] = ()
     bands: tuple[ComparedBand, ...] = ()
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[QuantityCurve, ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
     findings: tuple[Finding, ...] = ()
     budgets: tuple[Budget, ...] = ()
@@ -198,7 +198,7 @@ class ConditionAxis:
         unit = condition_unit(self.name, self.unit)
         return readable_unit(unit, self.levels) if unit == self.unit else unit
 
-    def shown(self, level: float) -> float:
+    def show(self, level: float) -> float:
         """A level in the unit in which it is shown."""
         return to_display(level, self.shown_unit)
 
@@ -208,7 +208,7 @@ class ConditionAxis:
 
     def digits(self, level: float) -> str:
         """A level in the unit in which it is shown, to four digits: 12000 rpm, not 1.2e+04."""
-        shown = self.shown(level)
+        shown = self.show(level)
         return f"{shown:.0f}" if 1e4 <= abs(shown) < 1e6 else f"{shown:.4g}"
 
 

@@ -194,7 +194,7 @@ def summary_of(result: TestResult) -> DatasetSummary:
     return DatasetSummary(index=index, partial=result.partial, forbidden=result.forbidden)
 
 
-def summed(summaries: Iterable[DatasetSummary]) -> DatasetSummary:
+def sum_summaries(summaries: Iterable[DatasetSummary]) -> DatasetSummary:
     """All of them together, in their order."""
     total = DatasetSummary()
     for summary in summaries:

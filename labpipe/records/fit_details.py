@@ -24,7 +24,7 @@ class FitDetail:
     in_time: ClassVar[bool] = False
     given_in_noise: ClassVar[bool] = False
 
-    def given(self, n_parameter: int) -> FloatArray:
+    def given_covariance(self, n_parameter: int) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by given numbers in these
         standard errors.
         """
@@ -247,7 +247,7 @@ class DynamicStiffness(FitDetail):
     absolute: bool = False
     excitations: tuple[OtherExcitation, ...] = ()
 
-    def given(self, n_parameter: int) -> FloatArray:
+    def given_covariance(self, n_parameter: int) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [units of the fitted parameters] by what was given, not
         fitted.
         """

@@ -33,7 +33,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Term:
+class SumTerm:
     """A channel in a sum, times *factor* [SI unit of the sum per SI unit of the channel].
 
     numbers: those in the factor that have an uncertainty; derivatives: of the factor by each of them.
@@ -49,9 +49,9 @@ class Term:
         object.__setattr__(self, "numbers", tuple(_number(entry) for entry in self.numbers))
         object.__setattr__(self, "derivatives", tuple(self.derivatives))
 
-    def times(self, factor: float) -> Term:
+    def times(self, factor: float) -> SumTerm:
         """The term times a number without uncertainty."""
-        return Term(
+        return SumTerm(
             self.channel,
             factor * self.factor,
             self.numbers,
@@ -63,9 +63,9 @@ def _number(entry: Any) -> Number:
     return entry if isinstance(entry, Number) else Number(**entry)
 
 
-def as_terms(entries: Any) -> tuple[Term, ...]:
+def as_terms(entries: Any) -> tuple[SumTerm, ...]:
     """The terms of a channel, as they are or from the mappings of a file."""
-    return tuple(entry if isinstance(entry, Term) else Term(**entry) for entry in entries)
+    return tuple(entry if isinstance(entry, SumTerm) else SumTerm(**entry) for entry in entries)
 
 
 ROLES = ("input", "output", "reference")
@@ -90,7 +90,7 @@ class Channel:
     angle: float | None = None
     delay: float = 0.0
     response: tuple[tuple[float, float, float], ...] = ()
-    terms: tuple[Term, ...] = ()
+    terms: tuple[SumTerm, ...] = ()
     uncertainties: tuple[ChannelUncertainty, ...] = ()
     position: float | None = None
 

@@ -90,7 +90,7 @@ class BlockCovariance:
         freeze(self, "blocks", np.complex128, shape, "covariance of the columns")
 
     @classmethod
-    def uncorrelated(cls, variance: FloatArray) -> BlockCovariance:
+    def from_variance(cls, variance: FloatArray) -> BlockCovariance:
         """Every element a block of its own; *variance* (n_line, n_output, n_input) [unit^2 of H]."""
         flat = np.asarray(variance, np.complex128).reshape(len(variance), -1)
         return cls(np.arange(flat.shape[1])[:, None], flat[:, :, None, None])
@@ -120,7 +120,7 @@ class BlockCovariance:
         diagonal = np.einsum("lbjj->lbj", self.blocks).real
         return diagonal[:, self._places[:, 0], self._places[:, 1]]
 
-    def chosen(self, lines: BoolArray, index: Sequence[int]) -> BlockCovariance:
+    def choose(self, lines: BoolArray, index: Sequence[int]) -> BlockCovariance:
         """That of the elements *index*, which are the new vec(H), on the *lines* (n_frequency,), of rows and
         columns of the matrix.
         """
@@ -364,7 +364,7 @@ class FrequencyResponse:
         object.__setattr__(response, "findings", (*self.findings, *findings))
         return response
 
-    def renamed(self, name: str, conditions: dict[str, Any]) -> FrequencyResponse:
+    def rename(self, name: str, conditions: dict[str, Any]) -> FrequencyResponse:
         """The response under another *name* and *conditions*; nothing else is made or checked again."""
         response = copy.copy(self)
         object.__setattr__(response, "name", name)
@@ -457,14 +457,14 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         outputs=tuple(response.outputs[row] for row in rows),
         inputs=tuple(response.inputs[column] for column in columns),
         blocks=response.blocks and response.blocks.of_forces(columns),
-        covariance=None if variance is None else BlockCovariance.uncorrelated(part(variance)),
+        covariance=None if variance is None else BlockCovariance.from_variance(part(variance)),
         multiple_coherence=None if multiple is None else multiple[:, rows],
         errors=tuple(replace(error, change=part(error.change)) for error in response.errors),
         findings=(*response.findings, note("part-shown", message)),
     )
 
 
-def uncorrelated(variance: FloatArray) -> ComplexArray:
+def diagonal_covariance(variance: FloatArray) -> ComplexArray:
     """Covariance (n_frequency, n, n) [unit^2] of uncorrelated elements from their variance (n_frequency,
     n_output, n_input).
     """

@@ -133,7 +133,7 @@ class Geometry:
     positions: FloatArray
     lines: IntArray
 
-    def checked(self) -> Geometry:
+    def check_points(self) -> Geometry:
         """The same; DataError for no point, one that stands twice, or a position that is not a number."""
         repeated = [name for n, name in enumerate(self.names) if name in self.names[:n]]
         if repeated:

@@ -18,7 +18,7 @@ from numbers import Complex, Integral, Real
 from pathlib import Path
 from typing import Any
 
-from labpipe.errors import SettingError, cut
+from labpipe.errors import SettingError, shorten
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -59,7 +59,7 @@ def _roots(entry: Any) -> tuple[complex, ...]:
     text = "".join(str(entry).replace("±", "+-").replace("rad/s", "").split())
     match = _ROOT.match(text)
     if match is None or not text:
-        raise UnitError(f"'{cut(str(entry))}' is not a root", EXAMPLE)
+        raise UnitError(f"'{shorten(str(entry))}' is not a root", EXAMPLE)
     real = float(match["real"] or 0.0)
     if text[-1] not in "ij":
         return (complex(real),)
@@ -188,7 +188,7 @@ def to_choice(value: Any, setting: Setting) -> str:
     if text not in setting.choices:
         hint = nearest(text, setting.choices)
         raise UnitError(
-            f"unknown choice '{cut(text)}'",
+            f"unknown choice '{shorten(text)}'",
             hint if hint.startswith("known") else f"{hint} (known: {', '.join(setting.choices)})",
         )
     return text
@@ -399,7 +399,13 @@ def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tupl
 def _text_of(value: Any) -> str:
     if value is None:
         return "(nothing)"
-    return "(a mapping)" if isinstance(value, Mapping) else "(a list)" if _is_list(value) else cut(str(value))
+    return (
+        "(a mapping)"
+        if isinstance(value, Mapping)
+        else "(a list)"
+        if _is_list(value)
+        else shorten(str(value))
+    )
 
 
 __all__ = ["Setting", "Settings", "Uncertain", "setting", "settings_of"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING
 
-from labpipe.display import amount_text, difference_in, shown_unit, unit_label, written
+from labpipe.display import amount_text, difference_in, shown_unit, unit_label, write_values
 from labpipe.quantities import to_display
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.registry import Registry
@@ -97,7 +97,7 @@ def parameter_cells(parameter: Parameter, unit: str = "") -> tuple[str, ...]:
     limits = "at bound" if parameter.at_bound else "not significant" if parameter.significant is False else ""
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
-    value, uncertainty, *interval = written(to_display(parameter.value, unit), error, *ends)
+    value, uncertainty, *interval = write_values(to_display(parameter.value, unit), error, *ends)
     return (parameter.name, value, uncertainty, " to ".join(interval), unit_label(unit), limits)
 
 

@@ -251,7 +251,7 @@ class Budget:
             self, sources=(*self.sources, *sources), changes=np.vstack([self.changes, changes]), drawn=None
         )
 
-    def enlarged(self, factors: Mapping[str, float]) -> Budget:
+    def enlarge(self, factors: Mapping[str, float]) -> Budget:
         """The budget with the uncertainty of sources times *factors* [1] by their names.
 
         As it is for others.

@@ -17,7 +17,7 @@ from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget
 from labpipe.report.chart import PALETTE_SIZE, Axis, Panel, Series, named_ticks, outline, stack
 from labpipe.report.document import Block, Figure, Paragraph, Table
-from labpipe.report.wording import legible, rounded
+from labpipe.report.wording import legible, round_to_error
 
 HEADER = (
     "parameter", "value", "unit", "random", "systematic", "combined", "expanded", "relative", "k", "ν eff",
@@ -89,7 +89,7 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     relative = f"{two_digits(100 * _relative(parameter))} %" if parameter.value else ""
     return (
         parameter.name,
-        rounded(value, combined),
+        round_to_error(value, combined),
         legible(unit),
         *(two_digits(part, value) for part in (random, systematic, combined, factor * combined)),
         relative,

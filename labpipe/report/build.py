@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
-from labpipe.display import counted
+from labpipe.display import count_text
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
@@ -65,8 +65,8 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
     outcomes = identification.outcomes
     kinds = len(_by_code(identification, WARNING))
     limit = "of warning below: what limits how far the numbers can be trusted."
-    uncertainty = f"{counted(kinds, 'kind')} {limit}" if kinds else "No warnings."
-    serious = _not_to_be_signed(identification)
+    uncertainty = f"{count_text(kinds, 'kind')} {limit}" if kinds else "No warnings."
+    serious = _signature_warnings(identification)
     if not outcomes:
         text = f"No acceptance rules were given, so nothing is accepted or refused. {uncertainty}"
         return (Paragraph(text, "note"), *serious)
@@ -78,7 +78,7 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
         text = f"NOT DECIDED: {all_hold(outcomes)} for what could be evaluated. {uncertainty}"
         lead = Paragraph(text, "warning")
     else:
-        missing = _not_checked(identification)
+        missing = _unchecked_sentence(identification)
         text = f"ACCEPTED: {all_hold(outcomes)}. {uncertainty}{missing}"
         lead = Paragraph(text, "note" if missing else "passed")
     # Fits whose rules could only look at the goodness of fit, since no noise is known that chi-square could
@@ -93,7 +93,7 @@ def _judgement(identification: Identification) -> tuple[Block, ...]:
     )
 
 
-def _not_checked(identification: Identification) -> str:
+def _unchecked_sentence(identification: Identification) -> str:
     """What no rule looked at, as a sentence; empty where everything was checked, which alone makes a box
     green.
     """
@@ -112,12 +112,12 @@ def _listing(origins: Iterable[str], mark: str = ", ") -> str:
     return few(list(dict.fromkeys(origins)), MOST_NOTES, mark)
 
 
-def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
+def _signature_warnings(identification: Identification) -> tuple[Block, ...]:
     """Fits and comparisons that must not be used, named beside the verdict: a rule can pass for the wrong
     reason.
     """
     serious: dict[str, list[str]] = {}
-    for origin, finding in (*_of_fits(identification), *_of_sections(identification)):
+    for origin, finding in (*_list_fit_findings(identification), *_list_section_findings(identification)):
         if finding.code in SERIOUS:
             serious.setdefault(origin, []).append(finding.code)
     if not serious:
@@ -126,15 +126,15 @@ def _not_to_be_signed(identification: Identification) -> tuple[Block, ...]:
     return (Paragraph(f"Read the warnings before using: {_listing(named, '; ')}.", "warning"),)
 
 
-def _of_fits(identification: Identification) -> list[tuple[str, Finding]]:
+def _list_fit_findings(identification: Identification) -> list[tuple[str, Finding]]:
     return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
 
 
 def _fits_with(code: str, identification: Identification) -> list[str]:
-    return [origin for origin, finding in _of_fits(identification) if finding.code == code]
+    return [origin for origin, finding in _list_fit_findings(identification) if finding.code == code]
 
 
-def _of_sections(identification: Identification) -> list[tuple[str, Finding]]:
+def _list_section_findings(identification: Identification) -> list[tuple[str, Finding]]:
     return [
         pair for name, record in identification.sections.items() for pair in section(name).findings(record)
     ]
@@ -147,7 +147,11 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
         for finding in response.findings
     ]
     codes: dict[str, list[tuple[str, Finding]]] = {}
-    for origin, finding in (*measured, *_of_fits(identification), *_of_sections(identification)):
+    for origin, finding in (
+        *measured,
+        *_list_fit_findings(identification),
+        *_list_section_findings(identification),
+    ):
         if finding.level == level:
             codes.setdefault(finding.code, []).append((origin, finding))
     return codes
@@ -161,7 +165,7 @@ def _warnings(identification: Identification) -> tuple[Block, ...]:
         blocks.append(Paragraph(f"{code}: {origin}{more}: {finding.message}", "warning"))
     if not blocks:
         what = "No rule for collinear excitation, coherence, significance, residuals or clipping was broken."
-        missing = _not_checked(identification)
+        missing = _unchecked_sentence(identification)
         blocks.append(Paragraph(f"None. {what}{missing}", "note" if missing else "passed"))
     return tuple(blocks)
 

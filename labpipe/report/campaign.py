@@ -13,7 +13,7 @@ from itertools import compress
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import difference_in, unit_label, written
+from labpipe.display import difference_in, unit_label, write_values
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import Parameter
@@ -22,7 +22,7 @@ from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, cu
 from labpipe.report.cover import DATES, amount_of, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
-from labpipe.report.wording import few, rounded, unit_text
+from labpipe.report.wording import few, round_to_error, unit_text
 from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
@@ -78,7 +78,7 @@ class CoefficientSeries:
         """Whether the conditions give a date for every value."""
         return all(value.when for value in self.values)
 
-    def shown(self) -> FloatArray:
+    def show(self) -> FloatArray:
         """Values (n,) [display unit]."""
         return np.array([to_display(value.parameter.value, self.unit) for value in self.values])
 
@@ -181,7 +181,7 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
     """Values with their 95 % intervals over a condition; of three or more their weighted line."""
     axis, x = series.over()[condition]
     low, high = series.intervals().T
-    tests = dots("tests", x, series.shown(), marker="o", size=4.0, bars=(low, high))
+    tests = dots("tests", x, series.show(), marker="o", size=4.0, bars=(low, high))
     chart = stack([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
     caption = (
         f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight "
@@ -192,7 +192,7 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
     try:
-        line = straight_trend(x, series.shown(), *series.parted_errors())
+        line = straight_trend(x, series.show(), *series.parted_errors())
     except FitError:
         return ()
     drawn = np.linspace(x.min(), x.max(), N_TREND)
@@ -204,7 +204,7 @@ def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
 
 def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
-    values = series.shown()
+    values = series.show()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
     tests = curve("tests", places, values, marker=".", size=4.0)
@@ -288,7 +288,7 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
     trends = [trend for coefficient in series for trend in _trends(coefficient)]
-    differences = _apart(series)
+    differences = _find_apart(series)
     corrected = holm(np.array([trend.p_value for trend in trends]))
     sections = (
         Section("Verdict", (*_verdict(series, trends, corrected, differences), *_left_out(copies))),
@@ -312,7 +312,7 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
 Apart = tuple[FloatArray, FloatArray]
 
 
-def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
+def _find_apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
     """Of every series, NaN where its values have no errors. All are corrected together."""
     each = [_from_the_rest(coefficient) for coefficient in series]
     corrected = [p for _, p in each]
@@ -328,7 +328,7 @@ def _apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
 
 def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
     try:
-        return from_the_rest(coefficient.shown(), joint_errors(*coefficient.parted_errors()))
+        return from_the_rest(coefficient.show(), joint_errors(*coefficient.parted_errors()))
     except FitError:
         unknown = np.full(len(coefficient.values), np.nan)
         return unknown, unknown
@@ -338,7 +338,7 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
-            line = straight_trend(condition, coefficient.shown(), *coefficient.parted_errors())
+            line = straight_trend(condition, coefficient.show(), *coefficient.parted_errors())
         except FitError:
             continue
         slope, error = float(line.values[1]), line.std_error(1)
@@ -389,7 +389,7 @@ def _left_out(copies: Sequence[str]) -> tuple[Block, ...]:
 
 
 def _outside(coefficient: CoefficientSeries) -> list[str]:
-    return [coefficient.values[place].label for place in control_limits(coefficient.shown()).outside]
+    return [coefficient.values[place].label for place in control_limits(coefficient.show()).outside]
 
 
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
@@ -409,9 +409,9 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
         (
             trend.series.title,
             trend.condition,
-            rounded(trend.slope, trend.error),
+            round_to_error(trend.slope, trend.error),
             _slope_unit(trend),
-            " to ".join(written(trend.slope, trend.error, *trend.interval)[2:]),
+            " to ".join(write_values(trend.slope, trend.error, *trend.interval)[2:]),
             f"{trend.p_value:.2g}",
             f"{p:.2g}",
             "yes" if p < LEVEL else "no",
@@ -438,10 +438,10 @@ def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
         blocks.append(Paragraph(f"{what} Their values may differ by the bands alone.", "warning"))
     blocks += [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
-        limits, n = control_limits(coefficient.shown()), len(coefficient.values)
+        limits, n = control_limits(coefficient.show()), len(coefficient.values)
         outside = "; ".join(_outside(coefficient))
         which = f"outside: {outside}" if outside else "no value lies outside"
-        centre, _, low, high = written(limits.centre, limits.rounding, limits.low, limits.high)
+        centre, _, low, high = write_values(limits.centre, limits.rounding, limits.low, limits.high)
         ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
         suppose = "The limits suppose that all tests are of one condition."
         text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
@@ -455,16 +455,16 @@ def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
 def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
     rows = []
     over, (differences, corrected) = coefficient.over(), apart
-    for n, (value, error) in enumerate(zip(coefficient.shown(), coefficient.errors(), strict=True)):
+    for n, (value, error) in enumerate(zip(coefficient.show(), coefficient.errors(), strict=True)):
         (low, high), p = coefficient.intervals()[n], corrected[n]
         rows.append(
             (
                 coefficient.values[n].label,
                 coefficient.values[n].when if coefficient.dated else "",
                 *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
-                rounded(value, error),
-                " to ".join(written(value, error, low, high)[2:]) if np.isfinite(low) else "none",
-                rounded(differences[n], error) if np.isfinite(differences[n]) else "",
+                round_to_error(value, error),
+                " to ".join(write_values(value, error, low, high)[2:]) if np.isfinite(low) else "none",
+                round_to_error(differences[n], error) if np.isfinite(differences[n]) else "",
                 f"{p:.2g}{' *' if p < LEVEL else ''}" if np.isfinite(p) else "",
             )
         )

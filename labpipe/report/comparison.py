@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.display import number, per_cent, written
+from labpipe.display import number, per_cent, write_values
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.comparison import ComparedBand, ComparedPoint, Comparison, Comparisons, Overlay
 from labpipe.records.finding import WARNING, Parameter, of_level
@@ -61,7 +61,7 @@ def _row(band: ComparedBand, several: bool) -> tuple[str, ...]:
     ends = "" if band.ratio_ci95 is None else f" ({band.ratio_ci95[0]:.3f} to {band.ratio_ci95[1]:.3f})"
     ratio = "" if band.ratio is None else f"{band.ratio:.3f}{ends}"
     first = (band.test if several else "", f"{band.band_hz[0]:g}-{band.band_hz[1]:g}")
-    shown, _, lower, upper, reference = written(value, error, low, high, other)
+    shown, _, lower, upper, reference = write_values(value, error, low, high, other)
     return (*first, shown + mark, f"{lower} to {upper}", reference, ratio, p_value)
 
 
@@ -179,7 +179,7 @@ BESIDE_MEASURED = {
 }
 
 
-def _beside(comparison: Comparison) -> Figure:
+def _ratio_figure(comparison: Comparison) -> Figure:
     what, ratio, meaning = BESIDE_MEASURED[comparison.kind]
     points, factor = comparison.points, scale_of(comparison.unit)
     x, condition = _abscissa(comparison, points), _condition(comparison)
@@ -249,8 +249,8 @@ FIGURES: dict[str, Callable[[Comparison], Figure]] = {
     "difference": _difference,
     "quotient": _difference,
     "repeatability": _repeatability,
-    "ratio": _beside,
-    "rayleigh": _beside,
+    "ratio": _ratio_figure,
+    "rayleigh": _ratio_figure,
 }
 OVER_FREQUENCY: dict[str, Callable[[Comparison], list[Figure]]] = {
     "prediction": loop_figures.prediction_figures,
@@ -361,7 +361,7 @@ def _point_row(comparison: Comparison, point: ComparedPoint) -> tuple[str, ...]:
     ends = [to_display(end, unit) for end in point.ci95 or ()]
     theory = [] if point.theory is None else [to_display(point.theory, unit)]
     error = (ends[1] - ends[0]) / 4 if ends else None
-    value, _, *texts = written(to_display(point.value, unit), error, *ends, *theory)
+    value, _, *texts = write_values(to_display(point.value, unit), error, *ends, *theory)
 
     def condition(amount: float | None, of: str) -> str:
         return "" if amount is None else f"{to_display(amount, display_unit(of)):g}"
@@ -383,5 +383,5 @@ def _ratio_words(point: ComparedPoint) -> tuple[str, str]:
     if point.ratio is None or point.ratio_ci95 is None:
         return "" if point.ratio is None else number(point.ratio), ""
     low, high = point.ratio_ci95
-    value, _, *ends = written(point.ratio, (high - low) / 2, low, high)
+    value, _, *ends = write_values(point.ratio, (high - low) / 2, low, high)
     return value, " to ".join(ends)

@@ -17,7 +17,7 @@ from labpipe.records.identification import Identification
 from labpipe.records.text import parameter_cells
 from labpipe.report import chart
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
-from labpipe.report.wording import legible, rounded, titled
+from labpipe.report.wording import legible, round_to_error, title
 
 # A point with its value of a coefficient.
 Valued = tuple[comparison.MatrixPoint, comparison.Repeated]
@@ -81,7 +81,7 @@ def _lines(matrix: comparison.ConditionMatrix, name: str, having: Sequence[Value
     for number, second in enumerate(sorted({point.place[1:2] for point, _ in having})):
         line = [(point, value) for point, value in having if point.place[1:2] == second]
         title = matrix.axes[1].text(matrix.axes[1].levels[second[0]]) if second else "measured"
-        x = np.array([first.shown(first.levels[point.place[0]]) for point, _ in line])
+        x = np.array([first.show(first.levels[point.place[0]]) for point, _ in line])
         y = np.array([to_display(value.parameter.value, unit) for _, value in line])
         ends = [value.parameter.ci95 or (value.parameter.value,) * 2 for _, value in line]
         low, high = (np.array([to_display(pair[end], unit) for pair in ends]) for end in (0, 1))
@@ -107,7 +107,7 @@ def _value_map(matrix: comparison.ConditionMatrix, name: str, having: Sequence[V
     texts = [[_number_text(value) if np.isfinite(value) else "none" for value in row] for row in values]
     graphic = _map(matrix.axes, np.nan_to_num(values / largest), texts, f"{name} / largest")
     where = f" at {at}" if at else ""
-    caption = f"{titled(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
+    caption = f"{title(name, unit)} over {matrix.axes[0].name} and {matrix.axes[1].name}{where}."
     return Figure(graphic, caption, f"Map of {name} of {matrix.name}")
 
 
@@ -194,12 +194,17 @@ def _matrix_blocks(matrix: comparison.ConditionMatrix) -> tuple[Block, ...]:
 
 def _points_table(matrix: comparison.ConditionMatrix) -> Table:
     beside = [
-        titled(entry.name, comparison.condition_unit(entry.name, entry.unit))
+        title(entry.name, comparison.condition_unit(entry.name, entry.unit))
         for entry in matrix.points[0].beside
     ]
     header = (*_axis_titles(matrix), "tests", *beside, "warnings")
     rows = tuple(
-        (*_levels(matrix, point), str(len(point.tests)), *_beside(point), ", ".join(point.warnings) or "none")
+        (
+            *_levels(matrix, point),
+            str(len(point.tests)),
+            *_beside_cells(point),
+            ", ".join(point.warnings) or "none",
+        )
         for point in matrix.points
     )
     caption = f"Points of {matrix.name}; beside: means over the tests ± their scatter"
@@ -207,14 +212,14 @@ def _points_table(matrix: comparison.ConditionMatrix) -> Table:
 
 
 def _axis_titles(matrix: comparison.ConditionMatrix) -> tuple[str, ...]:
-    return tuple(titled(axis.name, axis.shown_unit) for axis in matrix.axes)
+    return tuple(title(axis.name, axis.shown_unit) for axis in matrix.axes)
 
 
 def _levels(matrix: comparison.ConditionMatrix, point: comparison.MatrixPoint) -> tuple[str, ...]:
     return tuple(axis.digits(level) for axis, level in zip(matrix.axes, matrix.levels_of(point), strict=True))
 
 
-def _beside(point: comparison.MatrixPoint) -> tuple[str, ...]:
+def _beside_cells(point: comparison.MatrixPoint) -> tuple[str, ...]:
     units = [comparison.condition_unit(entry.name, entry.unit) for entry in point.beside]
     return tuple(
         with_error(to_display(entry.value, unit), _size(entry.scatter, unit) or None)
@@ -226,7 +231,7 @@ def _coefficient_table(matrix: comparison.ConditionMatrix, name: str) -> Table:
     having = [(point, value) for point in matrix.points if (value := point.value(name)) is not None]
     unit = matrix.unit_of(name)
     none = "none" if any(value.theory is not None for _, value in having) else ""
-    header = (titled(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
+    header = (title(name, unit), "std. error", "95 % interval", "repeats", "scatter", "theory")
     rows = tuple(
         (*_levels(matrix, point), *_value_cells(value, unit), _theory(value, unit) or none)
         for point, value in having
@@ -251,7 +256,7 @@ def _value_cells(value: comparison.Repeated, unit: str) -> tuple[str, ...]:
 def _theory(value: comparison.Repeated, unit: str) -> str:
     if value.theory is None:
         return ""
-    expected = rounded(to_display(value.theory, unit), _size(value.parameter.full_error, unit))
+    expected = round_to_error(to_display(value.theory, unit), _size(value.parameter.full_error, unit))
     return f"{expected} *" if value.holds_theory is False else expected
 
 
@@ -261,7 +266,7 @@ def _path_table(path: comparison.EquilibriumPath) -> Table:
         (
             f"{point.load:.4g}",
             *(
-                rounded(1e6 * value, 1e6 * error)
+                round_to_error(1e6 * value, 1e6 * error)
                 for value, error in zip(point.position, point.position_error, strict=True)
             ),
             f"{scale * point.eccentricity:.4g}",

@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from labpipe.display import (
-    counted,
+    count_text,
     difference_in,
     per_cent,
     plain_text,
     shown_unit,
     two_digits,
     with_error,
-    written,
+    write_values,
 )
 from labpipe.quantities import UnitError, si_amount, to_display
 from labpipe.records.finding import WARNING, Parameter, of_level
@@ -135,7 +135,7 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
     facts = {
         "rig": _each_once(rigs),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
-        "tests": f"{len(tests)} measured, from {counted(len(sources), 'source file')}" if tests else "",
+        "tests": f"{len(tests)} measured, from {count_text(len(sources), 'source file')}" if tests else "",
         **{key: which for facts in of_sections for key, which in facts.items() if key != "rig"},
         **{key: _each_condition(values) for key, values in list(conditions.items())[:MOST_CONDITIONS]},
         "pipeline": _each_once(result.pipeline for result in identifications),
@@ -240,5 +240,5 @@ def _in_print(parameter: Parameter, has_warnings: bool) -> tuple[str, str]:
     relative = f"± {per_cent(half / abs(parameter.value))}" if parameter.value else ""
     if abs((low + high) / 2 - parameter.value) <= EVEN * half:
         return with_error(value, difference_in(half, unit), legible(unit)), relative
-    number, _, *limits = written(value, difference_in(half, unit), *ends)
+    number, _, *limits = write_values(value, difference_in(half, unit), *ends)
     return f"{number} ({' to '.join(limits)}) {legible(unit)}".rstrip(), relative

@@ -202,7 +202,7 @@ def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
         name: readable_unit(unit, (p.value for p in figures.of_bands(fits, name) if p is not None))
         for name, unit in figures.sliding_units(fits).items()
     }
-    titles = (wording.titled(name, unit) for name, unit in units.items())
+    titles = (wording.title(name, unit) for name, unit in units.items())
     header = ("band", "centre [Hz]", "G.o.F", *titles, "warnings")
     rows = tuple(_band_row(fit, units) for fit in fits)
     meaning = (

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.records.comparison import ComparedBand, Comparison, QuantityCurve
 from labpipe.report.chart import INK, PALETTE_SIZE, Axis, Panel, Series, curve, dots, level, stack
 from labpipe.report.document import Figure
 from labpipe.report.figures import FREQUENCY, over_frequency, scale_of
@@ -96,7 +96,7 @@ def _coefficient(
     return series
 
 
-def _pointwise(part: Curve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
+def _pointwise(part: QuantityCurve, factor: float, label: str, colour: int, matched: int) -> list[Series]:
     series = [curve(f"{label}loop", part.frequency, factor * np.array(part.theory), colour, ":", width=0.9)]
     if part.matched:
         values = factor * np.array(part.matched)
@@ -173,7 +173,7 @@ def certificate_figures(comparison: Comparison) -> list[Figure]:
     return [_sizes(comparison, series, "closed"), _nyquist(comparison)]
 
 
-def _measured_size(part: Curve, name: str, colour: int = 0) -> Series:
+def _measured_size(part: QuantityCurve, name: str, colour: int = 0) -> Series:
     band = part.low, part.high
     return dots(name, part.frequency, part.measured, colour, size=1.25, band=band, opacity=0.25)
 

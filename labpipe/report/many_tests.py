@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import counted, difference_in, two_digits, written
+from labpipe.display import count_text, difference_in, two_digits, write_values
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
@@ -144,7 +144,7 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
         "rig": str(identification.rig.get("name", "")),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{index.tests} evaluated" + (f", {index.failed} failed" if index.failed else ""),
-        "results": f"{index.rows} rows in {counted(len(identification.inputs), 'file')} below dataset/",
+        "results": f"{index.rows} rows in {count_text(len(identification.inputs), 'file')} below dataset/",
         "pipeline": identification.pipeline,
         "computed by": f"labpipe {identification.version}",
     }
@@ -174,7 +174,7 @@ def _verdict(identification: Identification, index: DatasetIndex) -> tuple[Block
         kinds = len(index.of_level())
         limit = "of warning below: what limits how far some numbers can be trusted."
         text = f"ACCEPTED: {all_hold(outcomes)} for all {n} tests."
-        blocks.append(Paragraph(f"{text} {counted(kinds, 'kind')} {limit}" if kinds else text, "passed"))
+        blocks.append(Paragraph(f"{text} {count_text(kinds, 'kind')} {limit}" if kinds else text, "passed"))
     return (*blocks, *rule_blocks(outcomes, "; found: in the first test that fails, else in the first test"))
 
 
@@ -214,7 +214,7 @@ def _row(columns: TestColumns) -> tuple[str, ...]:
     middle = float(np.median(values[there]))
     scatter = NORMAL_MAD * float(np.median(np.abs(values[there] - middle)))
     least, largest = there[np.argmin(values[there])], there[np.argmax(values[there])]
-    middle_text, scatter_text, low, high = written(
+    middle_text, scatter_text, low, high = write_values(
         middle, scatter or None, float(values[least]), float(values[largest])
     )
     errors = columns.errors[np.isfinite(columns.errors)]
@@ -234,7 +234,7 @@ def _blocks(columns: TestColumns) -> tuple[Block, ...]:
     there = np.isfinite(columns.values)
     n = int(np.sum(there))
     if n < FEWEST:
-        return (Paragraph(f"{counted(n, 'value')}; figures need {FEWEST}.", "note"),)
+        return (Paragraph(f"{count_text(n, 'value')}; figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
     which = "No value lies outside"

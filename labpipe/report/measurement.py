@@ -24,7 +24,7 @@ from labpipe.report.figures import (
     scale_of,
 )
 from labpipe.report.wording import unit_text
-from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, is_directional, two_sided
+from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, is_directional, two_sided_response
 from labpipe.spectra.damping import HalfPower, half_power
 from labpipe.spectra.orders import planes_of
 
@@ -177,7 +177,7 @@ def resonances(response: FrequencyResponse) -> dict[str, HalfPower]:
 def two_sided_figure(response: FrequencyResponse, peaks: dict[str, HalfPower]) -> Figure:
     """H_ff and H_fb over negative (backward) and positive (forward) frequencies, half-power points marked."""
     factor = form_unit(response.form)[1]
-    frequency, both = two_sided(response)
+    frequency, both = two_sided_response(response)
     # Between the two sides nothing was measured: a row of NaN interrupts the curves.
     x = np.insert(frequency, response.n_frequency, np.nan)
     sides = np.insert(both, response.n_frequency, np.nan, axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from labpipe.display import unit_label, written
+from labpipe.display import unit_label, write_values
 from labpipe.distributions import student_tail
 from labpipe.quantities import display_unit
 from labpipe.records.comparison import StudyThreshold
@@ -36,14 +36,14 @@ def legible(unit: str) -> str:
     return unit_label(unit).replace("N.s/m", "N s/m")
 
 
-def titled(name: str, unit: str) -> str:
+def title(name: str, unit: str) -> str:
     """A name with its unit, if any, as the head of a column."""
     return f"{name} [{legible(unit)}]" if legible(unit) else name
 
 
-def rounded(value: float, std_error: float | None) -> str:
+def round_to_error(value: float, std_error: float | None) -> str:
     """A value to the place that its standard error supports."""
-    return written(value, std_error)[0]
+    return write_values(value, std_error)[0]
 
 
 def few(texts: Sequence[str], most: int, mark: str = ", ") -> str:

@@ -19,7 +19,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate import virtual_rigs
@@ -460,7 +460,7 @@ def noisy_response(rig: VirtualMdofRig, rng: np.random.Generator | None) -> Freq
     matrix = rig.receptance
     std = rig.noise * float(np.max(np.abs(matrix)))
     ports = tuple(Port(dof, dof, dof) for dof in map(str, range(1, matrix.shape[1] + 1)))
-    covariance = uncorrelated(np.full(matrix.shape, 2 * std**2)) if std > 0 else None
+    covariance = diagonal_covariance(np.full(matrix.shape, 2 * std**2)) if std > 0 else None
     if rng is not None:
         matrix = matrix + std * (rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape))
     return FrequencyResponse(rig.frequency, matrix, ports, ports, covariance=covariance, name=rig.name)

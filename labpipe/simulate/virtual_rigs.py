@@ -147,13 +147,13 @@ def kind_of_recordings(
     VirtualRigKind. The parameters are the *truth* unless they are given.
     """
 
-    def made(rig: Any, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
+    def make(rig: Any, seed: int, names: Sequence[str]) -> tuple[Recording, ...]:
         return tuple(record(rig, name, generator(seed, name)) for name in names)
 
-    def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
-        return Simulation({run.name: logged(run) for run in made(rig, seed, names)}, {"truth": truth(rig)})
+    def simulate(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
+        return Simulation({run.name: logged(run) for run in make(rig, seed, names)}, {"truth": truth(rig)})
 
-    defaults = {"simulate": simulated, "recordings": made, "parameters": lambda rig, _runs: truth(rig)}
+    defaults = {"simulate": simulate, "recordings": make, "parameters": lambda rig, _runs: truth(rig)}
     return VirtualRigKind(settings=settings, **{**defaults, **others})
 
 
@@ -171,7 +171,7 @@ def kind_of_tests(
     def recordings_of(rig: Any, seed: int, names: Sequence[str]) -> list[Recording]:
         return [run.recording for run in tests(rig, seed, names) if run.recording is not None]
 
-    def simulated(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
+    def simulate(rig: Any, seed: int, names: Sequence[str]) -> Simulation:
         runs = tests(rig, seed, names)
         files = {
             run.name: LoggedTable(run.table or {}, text=True)
@@ -181,7 +181,7 @@ def kind_of_tests(
         }
         return Simulation(files, {"runs": {run.name: run.truth for run in runs}})
 
-    return VirtualRigKind(settings=settings, simulate=simulated, recordings=recordings_of, **others)
+    return VirtualRigKind(settings=settings, simulate=simulate, recordings=recordings_of, **others)
 
 
 def kind_of(rig: VirtualRig) -> VirtualRigKind:

@@ -78,8 +78,8 @@ def _average(
     source: SampleSource, settings: FrfSettings, layout: ChannelLayout, number: int
 ) -> tuple[LineSpectrum, tuple[Finding, ...]]:
     spectrum, _, findings = period_average(source, settings)
-    mean = layout.picked(number, spectrum.mean, 1)
-    noise = None if spectrum.noise is None else layout.picked(number, spectrum.noise, 2)
+    mean = layout.pick(number, spectrum.mean, 1)
+    noise = None if spectrum.noise is None else layout.pick(number, spectrum.noise, 2)
     return replace(spectrum, mean=mean, noise=noise), findings
 
 

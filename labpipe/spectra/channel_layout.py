@@ -99,7 +99,7 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
     by_name = {channel.name: channel for source in sources for channel in source.channels}
     recorded = [channel for channel in by_name.values() if not channel.terms]
     for port, sensor in enumerate(sensors):
-        yield from _of_directions(port, sensor, recorded)
+        yield from _direction_effects(port, sensor, recorded)
         for term in sensor.terms:
             for number, slope in zip(term.numbers, term.derivatives, strict=True):
                 named = number.source or f"{number.name}, {number.value:g} {number.unit}"
@@ -111,7 +111,7 @@ def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Ite
                     yield _Effect(calibration.uncertainty, port, term.channel, term.factor * course, power)
 
 
-def _of_directions(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
+def _direction_effects(port: int, sensor: Channel, recorded: Sequence[Channel]) -> Iterator[_Effect]:
     """What the directions of recorded channels do to a sum: a member reads some of the channel across."""
     for number, channel in enumerate(recorded):
         directions = [c.uncertainty for c in channel.uncertainties if c.effect == "direction"]
@@ -196,7 +196,7 @@ class ChannelLayout:
                 combined[row, names.index(term.channel)] = term.factor
         return combined
 
-    def picked(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
+    def pick(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit] of a recording, its last *axes* axes as the recorded channels;
         zero for an absent force.
         """

@@ -145,7 +145,7 @@ def directions(ports: tuple[Port, ...], what: str) -> FloatArray:
     return directions
 
 
-def two_sided(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
+def two_sided_response(response: FrequencyResponse) -> tuple[FloatArray, ComplexArray]:
     """Frequency from -f_max to f_max [Hz], (2 n,), and H_ff and H_fb over it, (2 n, 2) [unit of the
     response]. Of a real system H_ff(-w) = conj H_bb(w) and H_fb(-w) = conj H_bf(w) (Lee, Vibration Analysis
     of Rotors, 1993). DataError for a response that is not directional. Equation (frf-two-sided).

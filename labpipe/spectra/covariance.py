@@ -257,7 +257,7 @@ def covariance_of_periodic(
     return without_rounding(covariance.reshape(n_line, n, n))
 
 
-def corrected(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
+def correct_covariance(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
     """The *covariance* of elements times a *factor* (n_frequency, n_output, n_input) [1]."""
     if covariance is None or np.all(factor == 1):
         return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance

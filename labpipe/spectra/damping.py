@@ -83,7 +83,7 @@ def _evaluate(
     return value * np.where(size > 0, size, 1.0), gains
 
 
-def undamped(response: FrequencyResponse, decay: float) -> FrequencyResponse:
+def remove_window_damping(response: FrequencyResponse, decay: float) -> FrequencyResponse:
     """A ready response (n_frequency, n_output, n_input) [unit of the form] without the damping of a window
     exp(-t / *decay*), *decay* [s]. Its covariance has no place: how the noise of neighbouring lines goes
     together is not known. DataError for lines that are not evenly spaced.

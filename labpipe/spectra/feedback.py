@@ -329,7 +329,7 @@ def feedback_of_periods(
     for number, spectrum in enumerate(spectra):
         if spectrum.noise is None or spectrum.dof < 2:
             continue
-        noise = layout.padded(number, spectrum.noise, 2)
+        noise = layout.pad(number, spectrum.noise, 2)
         for force in range(n_input):
             values = [
                 chance_of_phase(

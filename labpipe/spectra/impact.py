@@ -18,8 +18,8 @@ from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra import damping, windows
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
-from labpipe.spectra.covariance import ENOUGH_DOF, corrected
-from labpipe.spectra.ports import Layout, Parts, left_out, lines_left, parts_at_lines
+from labpipe.spectra.covariance import ENOUGH_DOF, correct_covariance
+from labpipe.spectra.ports import Layout, Parts, left_out, parts_at_lines, select_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.welch import CrossSpectra
@@ -133,7 +133,7 @@ def judged_hit(
     members = {term.channel for channel in channels if channel.role != "reference" for term in channel.terms}
     # A tacho stands at both ends of its range, and no FRF is made of it.
     measured = [channel.role != "reference" or channel.name in members for channel in channels]
-    clipped = np.flatnonzero(overloaded(samples) & measured)
+    clipped = np.flatnonzero(find_overloaded(samples) & measured)
     if number in settings.reject:
         fault = "left out by hand"
     elif clipped.size:
@@ -145,7 +145,7 @@ def judged_hit(
     return Hit(number, start, trigger, samples, fault)
 
 
-def overloaded(samples: FloatArray) -> BoolArray:
+def find_overloaded(samples: FloatArray) -> BoolArray:
     """Channels (n_channel,) of samples (n_sample, n_channel) [SI] with several equal consecutive samples at
     the largest or smallest value. Only values beyond half the peak count, so that the zero level is no
     overload.
@@ -225,9 +225,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     pairs = zip(sources, averages, strict=True)
     findings += [left_out(source, why) for source, average in pairs if not average.n_found]
     averages, layout = _with_hits(averages, layout)
-    raw = _averaged(averages, settings, layout)
+    raw = _average(averages, settings, layout)
     findings.extend(average.slow_finding() for average in averages if average.slow)
-    parts, chosen = _on_lines(raw, averages, settings, layout), lines_left(raw.frequency, settings)
+    parts, chosen = _on_lines(raw, averages, settings, layout), select_lines(raw.frequency, settings)
     errors = [error[chosen] for error in _force_errors(averages, layout, settings.impact)]
     if settings.impact.force_window is not None:
         parts = _with_window_noise(parts, raw, averages, settings, layout, errors)
@@ -256,13 +256,13 @@ def _with_window_noise(
     if len(named.findings) == len(parts.findings) or not courses:
         return named
     ports = zip(averages, layout.acting, layout.output_columns, strict=True)
-    of_hits = [average.aligned(raw, force, outputs) for average, force, outputs in ports]
-    aligned = _averaged(of_hits, settings, layout)
+    of_hits = [average.align(raw, force, outputs) for average, force, outputs in ports]
+    aligned = _average(of_hits, settings, layout)
     # A hit's residual of 2 n_line n_output numbers has lost one for each course.
     lost = max(course.shape[1] for course in courses.values()) / (2 * raw.matrix[:, :, 0].size)
-    covariance = corrected(aligned.covariance, np.full(raw.matrix.shape, (1 - lost) ** -0.5 + 0j))
+    covariance = correct_covariance(aligned.covariance, np.full(raw.matrix.shape, (1 - lost) ** -0.5 + 0j))
     raw = replace(raw, matrix=aligned.matrix, covariance=covariance)
-    parts, chosen = _on_lines(raw, averages, settings, layout), lines_left(raw.frequency, settings)
+    parts, chosen = _on_lines(raw, averages, settings, layout), select_lines(raw.frequency, settings)
     common, names = [], ", ".join(average.name for average in averages)
     for force, course in courses.items():
         for number, column in enumerate(course[chosen].T, 1):
@@ -273,7 +273,7 @@ def _with_window_noise(
     return replace(parts, errors=tuple(common), findings=named.findings)
 
 
-def _averaged(averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
+def _average(averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF at all lines of the averages, with its noise averaged over lines where hits are few."""
     spectra = [average.spectra() for average in averages]
     # Lines to either side that the noise is averaged over, and how many share one value of it.
@@ -296,7 +296,7 @@ def _on_lines(parts: Parts, averages: Sequence[_HitAverage], settings: FrfSettin
         parts = averages[0].with_hits(parts, layout)
     if settings.damping_window is not None:
         parts = damping.parts_without_window(parts, settings.damping_window, averages[0].line_correlation())
-    return parts_at_lines(parts, lines_left(parts.frequency, settings))
+    return parts_at_lines(parts, select_lines(parts.frequency, settings))
 
 
 def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, ComplexArray]:
@@ -385,7 +385,7 @@ def without_force_noise(
     return replace(
         parts,
         matrix=parts.matrix * factor,
-        covariance=corrected(parts.covariance, every),
+        covariance=correct_covariance(parts.covariance, every),
         snr=snr,
         findings=(*parts.findings, *findings),
     )
@@ -535,13 +535,13 @@ class _HitAverage:
         numbers = np.arange(self._lines.start, self._lines.stop)
         triggers = np.array([trigger for _, _, trigger, _ in self._alone])
         amplitudes = np.array([amplitude for *_, amplitude in self._alone])
-        return np.asarray(amplitudes * windows.turned(numbers, -triggers, self.n_sample).T[:, :, None])
+        return np.asarray(amplitudes * windows.phase_factors(numbers, -triggers, self.n_sample).T[:, :, None])
 
     def mean_force(self) -> ComplexArray:
         """The sum (n_line,) [N s per spacing] of the forces of all hits, each counted from its trigger."""
         return np.asarray(np.sum(self._from_triggers()[:, :, self.force], axis=0))
 
-    def aligned(self, parts: Parts, force: int, outputs: Sequence[int]) -> _HitAverage:
+    def align(self, parts: Parts, force: int, outputs: Sequence[int]) -> _HitAverage:
         """The average with every hit's force less what its responses, beside those of all hits, say of noise
         within its window: what is left between hits is noise of the responses. *parts*: the FRF of all hits;
         *outputs*: columns of the responses.

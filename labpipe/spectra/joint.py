@@ -17,7 +17,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.response import Blocks
 from labpipe.spectra.covariance import covariance_of_periodic
 from labpipe.spectra.matrices import hermitian
-from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
+from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, select_lines
 from labpipe.spectra.random import blocks_of, change_of_random, shares_of, welch_average
 from labpipe.spectra.random_lines import (
     check_moved,
@@ -152,7 +152,7 @@ def joint_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     whole = _with_references(sources, settings, layout)
     halved = [welch_average(source, settings) for source in sources]
     spectra = [spectrum for spectrum, _ in halved]
-    chosen, n = lines_left(spectra[0].frequency, settings), len(references)
+    chosen, n = select_lines(spectra[0].frequency, settings), len(references)
     frequency = spectra[0].frequency[chosen]
     averages = sum(spectrum.averages for spectrum in spectra)
     if averages <= n + 2:

@@ -19,7 +19,7 @@ from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import covariance_of_parts, noise_levels
 from labpipe.spectra.matrices import hermitian
-from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout, Parts, coherence_findings, select_lines
 from labpipe.spectra.settings import FrfSettings
 
 # Lines solved together, so that memory does not depend on the record, and lines from which the correlation is
@@ -111,7 +111,7 @@ def _window_fits(
     width = 2 * half_width + 1
     columns, y, smooth = _windows(forces, responses, degree, half_width)
     whole_size = np.sqrt(np.sum(np.abs(columns) ** 2, axis=(1, 2)))
-    columns, y = _without(columns, smooth), _without(y, smooth)
+    columns, y = _remove_columns(columns, smooth), _remove_columns(y, smooth)
     n_line = columns.shape[0]
     columns, y = columns.reshape(n_line, n_block * width, -1), y.reshape(n_line, n_block * width, -1)
     scale = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1, keepdims=True))
@@ -145,7 +145,7 @@ def _window_fits(
     return matrix, noise, spread, by_recording, freedoms, coherence, condition, weights
 
 
-def _without(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
+def _remove_columns(columns: ComplexArray, smooth: FloatArray) -> ComplexArray:
     """Columns (n_line, n_block, width, n) without what the leakage's polynomials explain."""
     return columns - np.einsum("rs,ts,lbtc->lbrc", smooth, smooth, columns, optimize=True)
 
@@ -236,7 +236,7 @@ def _solve(
     columns = columns / np.where(scale > 0, scale, 1.0)
     at_middle = smooth @ smooth[middle]
     of_columns, of_y = np.einsum("t,lbtc->lbc", at_middle, columns), np.einsum("t,lbt->lb", at_middle, y)
-    columns, rest = _without(columns, smooth), _without(y[..., None], smooth)
+    columns, rest = _remove_columns(columns, smooth), _remove_columns(y[..., None], smooth)
     rows = columns.reshape(n_line, n_block * width, n)
     inverse = np.linalg.pinv(hermitian(rows) @ rows, rcond=ROUNDING, hermitian=True)
     factors = inverse @ (hermitian(rows) @ rest.reshape(n_line, -1, 1))
@@ -262,7 +262,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     assert settings.block is not None
     rate = sources[0].sample_rate
     n_sample = block_samples(sources[0], settings.block, 8)
-    padded = [layout.padded(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
+    padded = [layout.pad(e, _spectra(source, settings.block), 1) for e, source in enumerate(sources)]
     blocks, recordings = np.concatenate(padded), np.repeat(np.arange(len(padded)), [len(p) for p in padded])
     n_input = len(layout.inputs)
     half_width = settings.half_width or usual_half_width(blocks.shape[0], n_input, settings.degree)
@@ -272,7 +272,7 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     if not inner.size:
         what = f"a block of {settings.block:g} s has fewer lines than the window of {2 * half_width + 1}"
         raise DataError(what, hint="lengthen `block`")
-    chosen = np.flatnonzero(lines_left(inner, settings))
+    chosen = np.flatnonzero(select_lines(inner, settings))
     first, last = int(chosen[0]), int(chosen[-1]) + 1
     around = slice(first, last + 2 * half_width)
     fitted = local_polynomials(

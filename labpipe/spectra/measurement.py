@@ -16,7 +16,7 @@ from labpipe.spectra.bands import block_samples
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
-from labpipe.spectra.covariance import corrected
+from labpipe.spectra.covariance import correct_covariance
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.impact import check_single_force, find_hits, impact_parts
 from labpipe.spectra.joint import joint_parts
@@ -239,7 +239,7 @@ def _measure(
         outputs=layout.outputs,
         inputs=layout.inputs,
         form=layout.form,
-        covariance=corrected(parts.covariance, sensor_factor),
+        covariance=correct_covariance(parts.covariance, sensor_factor),
         coherence=parts.coherence,
         multiple_coherence=parts.multiple_coherence,
         partial_coherence=parts.partial_coherence,

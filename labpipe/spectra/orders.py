@@ -35,7 +35,7 @@ class Plane:
         """Rows (cos, sin) of the two outputs, (2, 2) [1]."""
         return np.column_stack([np.cos(self.angles), np.sin(self.angles)])
 
-    def labelled(self, what: str) -> str:
+    def label(self, what: str) -> str:
         """Label of a column of the plane: "front:f", or "f" for a plane without a name."""
         return f"{self.name}:{what}" if self.name else what
 
@@ -147,7 +147,7 @@ def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
         track,
         amplitude=amplitude,
         variance=track.variance[:, columns] @ (np.abs(turn) ** 2).T,
-        ports=tuple(Port(plane.labelled(circle), circle, circle) for circle in FORWARD_BACKWARD),
+        ports=tuple(Port(plane.label(circle), circle, circle) for circle in FORWARD_BACKWARD),
         overall=np.abs(amplitude),
         orbit=track.orbit[:, [track.planes.index(plane)]],
         mean=track.mean[:, columns] @ to_xy.T,

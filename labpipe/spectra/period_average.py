@@ -98,7 +98,7 @@ class RestMotion:
         course: FloatArray = self.slope[number] * time + self.bend[number] * (time**2 - np.mean(time**2))
         return course
 
-    def seen(self, spectrum: LineSpectrum, n_sample: int, numbers: IntArray) -> BoolArray:
+    def find_seen(self, spectrum: LineSpectrum, n_sample: int, numbers: IntArray) -> BoolArray:
         """Channels (n_channel,) with a line on which it shifts the mean by more than its standard
         deviation, or a single period by more than that of a period (twice that of two periods, which tell
         it poorly). *numbers* (n_line,) of the spectrum's lines in a period of *n_sample*.
@@ -365,7 +365,7 @@ class PeriodAverage:
         if self.n_period < 2:
             return None
         motion = RestMotion.of(np.array(self._levels))
-        seen = motion.seen(spectrum, self._n_sample, self._line_numbers)
+        seen = motion.find_seen(spectrum, self._n_sample, self._line_numbers)
         return RestMotion(motion.slope * seen, motion.bend * seen) if np.any(seen) else None
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:

@@ -15,7 +15,7 @@ from labpipe.distributions import chi2_tail
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, diagonal_covariance
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
 from labpipe.spectra.channels import checked_blocks
@@ -33,7 +33,7 @@ from labpipe.spectra.period_average import (
     settling_finding,
     smoothed_noise,
 )
-from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, lines_left
+from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, select_lines
 from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
@@ -67,12 +67,12 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if not np.any(lines):
         raise no_line(acting)
     n_input = len(layout.inputs)
-    mean = np.stack([layout.padded(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
+    mean = np.stack([layout.pad(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
     half_width = 0 if settings.reference else settings.smooth
     spectra = _smoothed_by_response(single, spectra, lines, mean[:, n_input:] @ inverse, layout, half_width)
     frequency = spectra[0].frequency
-    noises = [layout.padded(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
+    noises = [layout.pad(e, s.noise, 2) for e, s in enumerate(spectra) if s.noise is not None]
     noise = np.stack(noises) if len(noises) == len(spectra) else None
     matrix = joined_response(mean, inverse, noise)
     covariance = snr = open_loop = None
@@ -194,7 +194,7 @@ def _change(
         for s, half in zip(spectra, first, strict=True)
     ]
     before, after = (
-        np.stack([layout.padded(e, mean, 1) for e, mean in enumerate(means)], axis=2)
+        np.stack([layout.pad(e, mean, 1) for e, mean in enumerate(means)], axis=2)
         for means in ([half.mean for half in first], rest)
     )
     n_input = len(layout.inputs)
@@ -230,7 +230,7 @@ def period_average(
     if n_beside:
         _, spectrum, half = _average(source, settings, n_sample, creep, n_beside)
         findings = (*findings, _beside_note(source, settings.period))
-    chosen = lines_left(spectrum.frequency, settings)
+    chosen = select_lines(spectrum.frequency, settings)
     return spectrum.select(chosen), None if half is None else half.select(chosen), findings
 
 
@@ -426,8 +426,8 @@ def _left_out_notes(
         acting = lines | excited_lines(spectrum, columns)
         if whole is None or spectrum.noise is None or np.all(acting):
             continue
-        mean = layout.padded(number, spectrum.mean, 1)
-        ordered = replace(spectrum, mean=mean, noise=layout.padded(number, spectrum.noise, 2))
+        mean = layout.pad(number, spectrum.mean, 1)
+        ordered = replace(spectrum, mean=mean, noise=layout.pad(number, spectrum.noise, 2))
         for output, port in enumerate(layout.outputs):
             size = float(np.sqrt(np.mean(np.abs(mean[lines, len(layout.inputs) + output]) ** 2)))
             for kind, silent in left_out_lines(ordered, acting, whole, output, period).items():
@@ -486,7 +486,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
     return replace(
         first,
         matrix=levels.gain,
-        covariance=(_mean_of(responses, "covariance") + uncorrelated(distortion**2)) / m,
+        covariance=(_mean_of(responses, "covariance") + diagonal_covariance(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
         # All were measured through the same sums.
         errors=tuple(

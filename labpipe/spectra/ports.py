@@ -79,7 +79,7 @@ class Layout:
             return 0
         return ORDER_OF[self.output_sensors[0].quantity] - ORDER_OF[self.input_sensors[0].quantity]
 
-    def padded(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
+    def pad(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs. Zero for
         an absent force.
         """
@@ -286,7 +286,7 @@ class Parts:
     errors: tuple[MatrixError, ...] = ()
 
 
-def lines_left(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
+def select_lines(frequency: FloatArray, settings: FrfSettings) -> BoolArray:
     """Lines (n_line,) [Hz] in the settings' band and outside its excluded bands, as a mask (n_line,).
     DataError when none is left.
     """

@@ -33,7 +33,7 @@ from labpipe.spectra.covariance import (
 )
 from labpipe.spectra.local import local_parts
 from labpipe.spectra.matrices import at_lines, definite_inverse, hermitian, inverse, product, without_rounding
-from labpipe.spectra.ports import Layout, Parts, at_columns, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout, Parts, at_columns, coherence_findings, select_lines
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra, WelchAverage
 from labpipe.spectra.windows import window_values
@@ -179,8 +179,8 @@ def blocks_of(
 def _pad(layout: Layout, recording: int, matrix: ComplexArray) -> ComplexArray:
     """The *matrix* of all channels, or with the acting forces, in the layout's order; 0 for an absent one."""
     if matrix.shape[1] == matrix.shape[2]:
-        return layout.padded(recording, matrix, 2)
-    rows = layout.padded(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
+        return layout.pad(recording, matrix, 2)
+    rows = layout.pad(recording, matrix.swapaxes(1, 2), 1).swapaxes(1, 2)
     acting = np.array(layout.input_columns[recording]) >= 0
     return at_columns(rows, np.where(acting, np.cumsum(acting) - 1, -1).tolist(), 1)
 
@@ -240,7 +240,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         of_force = np.array([spectrum.n_block for spectrum in spectra]) @ _acting(layout)
         blocks = replace(blocks, by_force=tuple(map(int, of_force)), apart=apart)
     parts = parts_of_spectra(spectra, settings, layout, apart=apart)
-    n_input, chosen = len(layout.inputs), lines_left(halved[0][0].frequency, settings)
+    n_input, chosen = len(layout.inputs), select_lines(halved[0][0].frequency, settings)
     estimate = ESTIMATORS[settings.estimator]
 
     def response_of(s: ComplexArray) -> ComplexArray:
@@ -261,7 +261,7 @@ def parts_of_spectra(
     *half_width* lines around, or *apart* of every force. DataError when the forces, or the outputs an
     estimator inverts, are not independent.
     """
-    chosen = lines_left(spectra[0].frequency, settings)
+    chosen = select_lines(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
     if settings.estimator == "H1" and layout.one_force_each:
         return parts_of_single_forces(spectra, chosen, layout, half_width, apart)

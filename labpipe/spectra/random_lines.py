@@ -20,7 +20,7 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import noise_levels, residual_spectrum
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
-from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, lines_left
+from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, select_lines
 from labpipe.spectra.random import block_average, blocks_of
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
@@ -112,7 +112,7 @@ def random_lines(
     """
     drives = _drives(sources, settings, layout)
     spectra = [_welch(source, settings, layout, number, drives) for number, source in enumerate(sources)]
-    chosen = lines_left(spectra[0].frequency, settings)
+    chosen = select_lines(spectra[0].frequency, settings)
     weights = np.array([spectrum.n_block for spectrum in spectra], float)
     weights /= weights.sum()
     parts = [weight * spectrum.matrix[chosen] for weight, spectrum in zip(weights, spectra, strict=True)]

@@ -17,7 +17,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import ENOUGH_DOF, covariance_of_periodic, joined_response
 from labpipe.spectra.period_average import neighbourhood_mean
-from labpipe.spectra.ports import Layout, Parts, lines_left
+from labpipe.spectra.ports import Layout, Parts, select_lines
 from labpipe.spectra.quality import force_inverse, signal_to_noise
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import Dwell, find_dwells, loudest
@@ -98,7 +98,7 @@ LEAST_NOISE = 1e-4
 
 
 @dataclass(frozen=True)
-class Course:
+class DwellCourse:
     """Amplitudes of a dwell, block by block: *times* (n_block,) [s] after the step, *values* (n_block,
     n_channel) [unit of the channel].
     """
@@ -121,7 +121,7 @@ class Course:
         )
 
 
-def settle_time(courses: Sequence[Course]) -> float:
+def settle_time(courses: Sequence[DwellCourse]) -> float:
     """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
     where none is seen: the excess over the noise is continued from where it is last seen. DataError when the
     transient outlasts the dwells, and without a dwell. Equation (frf-settle).
@@ -130,12 +130,12 @@ def settle_time(courses: Sequence[Course]) -> float:
         what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
         raise DataError(what, hint="state `settle`")
     with contextlib.suppress(DataError):
-        return _settled(courses, 2)
+        return _settling_time(courses, 2)
     # A transient that is seen beyond the middle may be over in the last quarter.
-    return _settled(courses, 4)
+    return _settling_time(courses, 4)
 
 
-def _settled(courses: Sequence[Course], part: int) -> float:
+def _settling_time(courses: Sequence[DwellCourse], part: int) -> float:
     longest = reach = max(float(course.times[-1]) for course in courses)
     block = min(float(course.times[0]) for course in courses) * 2
     while True:
@@ -163,7 +163,7 @@ def _settled(courses: Sequence[Course], part: int) -> float:
 
 
 def _bin_means(
-    courses: Sequence[Course], edges: FloatArray, part: int
+    courses: Sequence[DwellCourse], edges: FloatArray, part: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     n_bin = edges.size - 1
     total, variance, when, count = np.zeros((4, n_bin))
@@ -192,7 +192,7 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
     return max(shortest, -2.0 / float(slope)) if slope < 0 else float(time[-1])
 
 
-def transient_allowance(course: Course, tau: float) -> float:
+def transient_allowance(course: DwellCourse, tau: float) -> float:
     """Largest (a / s)^2 at the start that leaves LEFT standard errors in the mean of n blocks."""
     n = course.times.size
     step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
@@ -210,7 +210,7 @@ SINE_SHARE, LEAST_LEVEL = 0.8, 0.01
 
 
 @dataclass(frozen=True)
-class Line:
+class EvaluatedDwell:
     """A dwell evaluated: *frequency* [Hz] and its variance [Hz^2], *duration* [s] of what is used, complex
     degrees of freedom *dof*. mean (n_channel,) [unit of the channel], its covariance *noise* (n_channel,
     n_channel) [unit^2].
@@ -235,17 +235,16 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     ]
     common, n_alone = _common([lines for lines, _ in measured])
     frequency = np.array([np.mean([line.frequency for line in row]) for row in common])
-    chosen = lines_left(frequency, settings)
+    chosen = select_lines(frequency, settings)
     common = [row for row, is_chosen in zip(common, chosen, strict=True) if is_chosen]
     columns = list(zip(*common, strict=True))
     n_input = len(layout.inputs)
     mean = np.stack(
-        [layout.padded(e, np.stack([line.mean for line in lines]), 1) for e, lines in enumerate(columns)],
-        axis=2,
+        [layout.pad(e, np.stack([line.mean for line in lines]), 1) for e, lines in enumerate(columns)], axis=2
     )
     dof = min(line.dof for row in common for line in row)
     half_width = min(settings.smooth, int(np.ceil((ENOUGH_DOF / dof - 1) / 2))) if dof < ENOUGH_DOF else 0
-    noise = np.stack([layout.padded(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
+    noise = np.stack([layout.pad(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
     inverse = force_inverse(mean[:, :n_input], layout)
     matrix = joined_response(mean, inverse, noise)
     findings = [finding for _, finding in measured]
@@ -265,7 +264,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
 
 
 def _of_frequency(
-    frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[Line, ...]]
+    frequency: FloatArray, matrix: ComplexArray, rows: Sequence[tuple[EvaluatedDwell, ...]]
 ) -> ComplexArray:
     """Covariance by the uncertainty of the frequency: g g^H var(f), g = dH/df (n_line, n)."""
     flat = matrix.reshape(frequency.size, -1)
@@ -276,7 +275,7 @@ def _of_frequency(
     return slope[:, :, None] * slope[:, None, :].conj() * variance[:, None, None]
 
 
-def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
+def _noise(lines: Sequence[EvaluatedDwell], half_width: int) -> ComplexArray:
     duration = np.array([line.duration for line in lines])[:, None, None]
     noise = np.stack([line.noise for line in lines])
     if half_width == 0:
@@ -286,7 +285,7 @@ def _noise(lines: Sequence[Line], half_width: int) -> ComplexArray:
 
 def _lines(
     source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
-) -> tuple[list[Line], Finding]:
+) -> tuple[list[EvaluatedDwell], Finding]:
     samples = np.concatenate(list(checked_blocks(source)))
     rate = source.sample_rate
     force = loudest(samples, np.array([column for column in input_columns if column >= 0]))
@@ -300,9 +299,9 @@ def _lines(
     # The force alone gives the frequency.
     steady = settle
     with contextlib.suppress(DataError):
-        steady = min(settle, settle_time([Course(c.times, c.values[:, :1]) for c in courses]))
+        steady = min(settle, settle_time([DwellCourse(c.times, c.values[:, :1]) for c in courses]))
     lines = [_line(source, samples, dwell, (settle, steady, settings.skip), force) for dwell in dwells]
-    groups: list[list[Line]] = []
+    groups: list[list[EvaluatedDwell]] = []
     for line in sorted(lines, key=lambda line: line.frequency):
         if groups and _same(groups[-1][0], line):
             groups[-1].append(line)
@@ -337,7 +336,7 @@ def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:
     return kept
 
 
-def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Course]:
+def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[DwellCourse]:
     """Amplitudes from the step on, of dwells with periods enough; first the force that steps."""
     courses = []
     for dwell in dwells:
@@ -348,13 +347,13 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Cour
         count = int(part.shape[0] / length) - 1
         if count >= 2 * LEAST_BLOCKS:
             values = block_amplitudes(part, frequency, length, count)
-            courses.append(Course((np.arange(count) + 0.5) * length / rate, values))
+            courses.append(DwellCourse((np.arange(count) + 0.5) * length / rate, values))
     return courses
 
 
 def _line(
     source: SampleSource, samples: FloatArray, dwell: Dwell, settling: tuple[float, float, int], force: int
-) -> Line:
+) -> EvaluatedDwell:
     """*settling*: times after a step [s] that responses and force take to settle, and periods dropped in any
     case.
     """
@@ -390,16 +389,16 @@ def _line(
     error = blocks - blocks.mean(axis=0)
     noise = np.einsum("na,nb->ab", error, error.conj()) / (count * (count - 1))
     turn = np.exp(-1j * np.angle(mean[force]))
-    return Line(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
+    return EvaluatedDwell(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
 
 
-def _same(first: Line, other: Line) -> bool:
+def _same(first: EvaluatedDwell, other: EvaluatedDwell) -> bool:
     return abs(first.frequency - other.frequency) < SAME_LINE / min(first.duration, other.duration)
 
 
-def _average(group: list[Line]) -> Line:
+def _average(group: list[EvaluatedDwell]) -> EvaluatedDwell:
     shares = np.array([line.duration for line in group]) / sum(line.duration for line in group)
-    return Line(
+    return EvaluatedDwell(
         frequency=float(shares @ [line.frequency for line in group]),
         variance=float(shares**2 @ [line.variance for line in group]),
         duration=sum(line.duration for line in group),
@@ -409,7 +408,7 @@ def _average(group: list[Line]) -> Line:
     )
 
 
-def _common(recordings: Sequence[list[Line]]) -> tuple[list[tuple[Line, ...]], int]:
+def _common(recordings: Sequence[list[EvaluatedDwell]]) -> tuple[list[tuple[EvaluatedDwell, ...]], int]:
     rows = []
     for line in recordings[0]:
         partners = [next((other for other in lines if _same(line, other)), None) for lines in recordings[1:]]

@@ -23,7 +23,7 @@ from labpipe.spectra.impact import without_force_noise
 from labpipe.spectra.local import LocalNoise, check_half_width, local_noise, usual_half_width
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.period_average import neighbourhood_mean
-from labpipe.spectra.ports import Layout, Parts, coherence_findings, lines_left
+from labpipe.spectra.ports import Layout, Parts, coherence_findings, select_lines
 from labpipe.spectra.quality import force_inverse
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.sweeps import MARGIN_SHARE, FoundSweep, cuts, find_sweeps, loudest_sweeps, rate_findings
@@ -115,7 +115,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     every = [pair for run in swept for pair in zip(run.sweeps, run.cuts, strict=True)]
     n_sample = max(*(sweep.stop - start for sweep, (start, _) in every), min(b - a for _, (a, b) in every))
     blocks = np.concatenate(
-        [layout.padded(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
+        [layout.pad(number, _transforms(run, n_sample), 1) for number, run in enumerate(swept)]
     )
     band = max(sweep.low for sweep in sweeps) * rate, min(sweep.high for sweep in sweeps) * rate
     if band[0] >= band[1]:
@@ -126,7 +126,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     level = np.linalg.norm(spectra.blocks[:, :, :n_input], axis=0)
     usual = scipy.ndimage.median_filter(level, size=(min(AROUND, level.shape[0]), 1))
     driven = np.all(level >= LEAST_SHARE * usual, axis=1)
-    spectra = spectra.select(lines_left(spectra.frequency, settings) & driven)
+    spectra = spectra.select(select_lines(spectra.frequency, settings) & driven)
     leakage: tuple[Finding, ...] = ()
     ends = [
         (sweep.last * rate, np.sqrt(2) * sweep.level * rate)
@@ -353,7 +353,7 @@ def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray) -> Parts:
     if n_block > n_input:
         scale = np.sqrt((n_block - n_input) / (((1 - leverage) * filled) @ blocks_of @ levels.T))
         noise, per_line = noise * scale[:, :, None] * scale[:, None, :], per_line * float(filled.mean())
-    half_width = next(n for n in range(1000) if per_line * _lines_averaged(width, n) >= ENOUGH_DOF)
+    half_width = next(n for n in range(1000) if per_line * _n_averaged_lines(width, n) >= ENOUGH_DOF)
     noise = pooled_residual(noise, matrix, half_width)
     if spectra.hidden is not None:
         # As a rule alike in all sweeps: more of them do not average it.
@@ -373,7 +373,7 @@ def _parts(spectra: _Spectra, layout: Layout, recorded: IntArray) -> Parts:
         matrix=matrix,
         covariance=covariance,
         averages=1 + per_line,
-        dof=per_line * min(_lines_averaged(width, half_width), spectra.frequency.size),
+        dof=per_line * min(_n_averaged_lines(width, half_width), spectra.frequency.size),
         findings=coherence_findings(coherence, power, layout),
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
@@ -495,7 +495,7 @@ def _low_by_noise(blocks: ComplexArray, lines: IntArray, layout: Layout, n_sampl
     return [low.get(force, nothing) for force in layout.acting]
 
 
-def _lines_averaged(width: int, half_width: int) -> float:
+def _n_averaged_lines(width: int, half_width: int) -> float:
     """Independent lines among 2 *half_width* + 1 values that are each of *width* lines."""
     weights = np.convolve(np.ones(width), np.ones(2 * half_width + 1))
     return float(np.sum(weights) ** 2 / np.sum(weights**2))

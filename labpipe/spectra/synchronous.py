@@ -77,7 +77,7 @@ def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynch
         raise DataError(what, hint="give the speed in Hz or rpm")
     amplitude = _harmonics(source, motion, lines.harmonics)
     if lines.speed is not None:
-        refined = steady(_refined(source, lines.speed), duration)
+        refined = steady(_refine_speed(source, lines.speed), duration)
         better = _harmonics(source, refined, lines.harmonics)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
@@ -133,7 +133,7 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
     return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
 
 
-def _refined(source: SampleSource, speed: float) -> float:
+def _refine_speed(source: SampleSource, speed: float) -> float:
     """The speed [Hz] near *speed* by the turn of 1x over stretches, each time over longer ones."""
     longest = min(READ_SAMPLES, source.n_sample // 2)
     stretch = max(1, round(STRETCH / speed * source.sample_rate))
@@ -246,7 +246,7 @@ def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _FittedHarmonics:
     """amplitudes (n_harmonic, n_channel) [SI units of the channels] and the harmonics on_lines; acting
     (n_line,): where a force acts, from 0 Hz; power (n_channel,): left after the mean over periods;
     likelihood: logarithm of that of the outputs over that of noise alone.
@@ -261,7 +261,7 @@ class _Fitted:
 
 def _fit(
     source: SampleSource, motion: ShaftMotion, n_harmonic: int, n_sample: int, first: int, n_period: int
-) -> _Fitted:
+) -> _FittedHarmonics:
     n_column = 2 * n_harmonic
     gram, right = np.zeros((n_column, n_column)), np.zeros((n_column, len(source.channels)))
     sum_turns, sum_samples = np.zeros((n_sample, n_column)), np.zeros((n_sample, len(source.channels)))
@@ -290,7 +290,7 @@ def _fit(
     power = np.where(power > 0, power, 1.0)
     outputs = [channel.role == "output" for channel in source.channels]
     unexplained = np.maximum(1 - (np.sum(solution * right, axis=0) / power)[outputs], np.finfo(float).eps)
-    return _Fitted(
+    return _FittedHarmonics(
         solution[:n_harmonic] + 1j * solution[n_harmonic:],
         tuple(int(number) + 1 for number in np.flatnonzero(shares < LEAST_LEFT)),
         np.any(size > ACTING * np.max(size, axis=0, initial=0.0), axis=1),

@@ -216,7 +216,7 @@ def exponential_window(n_sample: int, constant: float) -> FloatArray:
     return np.exp(-np.arange(n_sample) / constant)
 
 
-def turned(lines: IntArray, samples: IntArray, n_sample: int) -> ComplexArray:
+def phase_factors(lines: IntArray, samples: IntArray, n_sample: int) -> ComplexArray:
     """exp(-jwt) (n_line, n) [1] of *lines* of a block of *n_sample* samples at *samples* (n,)."""
     return np.exp(-2j * np.pi / n_sample * np.outer(lines, samples))
 
@@ -232,7 +232,7 @@ def window_shapes(
     # Twice the band times the length of the window.
     if 2 * lines.size * at.size > most * window.size:
         return None
-    shapes = turned(lines, at - trigger, window.size) * (window[at] / np.linalg.norm(window))
+    shapes = phase_factors(lines, at - trigger, window.size) * (window[at] / np.linalg.norm(window))
     _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
     shapes = shapes @ rows[sizes > LEAST_COURSE * sizes[0]].T
     # Of hits with more no noise would be left beside them.

@@ -24,7 +24,7 @@ from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.quality import reciprocity
 from labpipe.uncertainty.amounts import chance, from_log, relative_change
 from labpipe.uncertainty.bandwise import bandwise, two_tests
-from labpipe.uncertainty.observations import Campaign, campaign_of, fits_named, group_of
+from labpipe.uncertainty.observations import Campaign, campaign_of, group_of, select_fits
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
 from labpipe.uncertainty.weighted import WeightedFit, dof_of_sum, repeatability, weighted_fit, weighted_mean
 
@@ -69,7 +69,7 @@ def _power(campaign: Campaign) -> Comparison:
     x = _draw(campaign.condition)
     values = np.exp(fit.values[0]) * (x / centre) ** fit.values[1]
     exponent = fit.amount("exponent", "1", 1)
-    level = from_log("level", campaign.unit, *fit.stated())
+    level = from_log("level", campaign.unit, *fit.state())
     settings = campaign.settings
     amount = display.amount_text(level.value, level.std_error, campaign.unit)
     law = f"{campaign.subject} = ({amount}) ({settings.condition} / {centre:.5g} {campaign.condition_unit})"
@@ -140,7 +140,7 @@ def difference(campaign: Campaign) -> Comparison:
     its p-value. Equation (comp-difference). ConfigError for groups without a common condition.
     """
     mean = _mean_of_logs(campaign)
-    change = relative_change("difference", *mean.stated())
+    change = relative_change("difference", *mean.state())
     assert change.ci95 is not None
     low, high = (100 * end for end in change.ci95)
     words = f"against {{}} {100 * change.value:+.2f} % (95 %: {low:+.2f} to {high:+.2f} %)"
@@ -150,7 +150,7 @@ def difference(campaign: Campaign) -> Comparison:
 def quotient(campaign: Campaign) -> Comparison:
     """Second over first group [1], with the same mean of logarithms as `difference`: a ratio of two tests."""
     mean = _mean_of_logs(campaign)
-    ratio = from_log("quotient", "1", *mean.stated())
+    ratio = from_log("quotient", "1", *mean.state())
     assert ratio.ci95 is not None
     low, high = ratio.ci95
     return _of_groups(campaign, ratio, mean, f"over {{}} {ratio.value:.5g} (95 %: {low:.5g} to {high:.5g})")
@@ -283,7 +283,7 @@ class Evidence:
 
     def fits_of(self, settings: CompareSettings) -> list[Fit]:
         """The fits that the settings name; ConfigError where there is none."""
-        return fits_named(settings.fit, self.fits)
+        return select_fits(settings.fit, self.fits)
 
     def campaign(self, settings: CompareSettings, parameter: str = "") -> Campaign:
         """The observations of the settings; *parameter*: in place of theirs."""

@@ -37,7 +37,7 @@ class Limits:
         """Whether a value lies within the limits, the limits themselves included."""
         return self.low <= value <= self.high
 
-    def narrowed(self, guard: float) -> Limits:
+    def narrow(self, guard: float) -> Limits:
         """The limits moved inwards by a guard band w [unit], outwards where it is negative; they may
         cross.
         """
@@ -66,11 +66,11 @@ def outcome_by_guard(value: float, guard: float, limits: Limits) -> str:
     """Pass within the limits less the guard band [unit], fail beyond limits and guard band, conditional
     between, by the side of the limit. ILAC-G8:09/2019, 4.2.3. Each limit counts by itself.
     """
-    if limits.narrowed(guard).hold(value):
+    if limits.narrow(guard).hold(value):
         return PASS
     if limits.hold(value):
         return CONDITIONAL_PASS
-    return CONDITIONAL_FAIL if limits.narrowed(-guard).hold(value) else FAIL
+    return CONDITIONAL_FAIL if limits.narrow(-guard).hold(value) else FAIL
 
 
 def outcome_by_risk(probability: float, risk: float) -> str:
@@ -88,7 +88,7 @@ def acceptance_by_risk(error: float, limits: Limits, risk: float) -> Limits | No
     """The values [unit] that pass by a *risk* [1] below one half; None where the uncertainty leaves none."""
     guard = guard_band(error, risk)
     if not (math.isfinite(limits.low) and math.isfinite(limits.high)):
-        return limits.narrowed(guard)
+        return limits.narrow(guard)
     centre = (limits.low + limits.high) / 2
     if conformance(centre, error, limits) < 1.0 - risk:
         return None

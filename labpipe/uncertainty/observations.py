@@ -168,7 +168,7 @@ def campaign_of(
     return Campaign(settings, tuple(observations), unit, second_unit)
 
 
-def fits_named(name: str, fits: Sequence[Fit]) -> list[Fit]:
+def select_fits(name: str, fits: Sequence[Fit]) -> list[Fit]:
     """The *fits* of that name; ConfigError where there is none."""
     named = [fit for fit in fits if fit.name == name]
     if not named:
@@ -185,7 +185,7 @@ def check_single(fits: Sequence[Fit], hint: str) -> None:
 
 
 def _choose(settings: CompareSettings, fits: Sequence[Fit]) -> list[Fit]:
-    named = fits_named(settings.fit, fits)
+    named = select_fits(settings.fit, fits)
     chosen = [fit for fit in named if not settings.term or fit.term == settings.term]
     if not chosen:
         what = f"fit '{settings.fit}' has no term '{settings.term}'"

@@ -29,7 +29,7 @@ from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import Settings, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.registry import listed
+from labpipe.registry import list_names
 from labpipe.simulate.virtual_rigs import (
     Truth,
     VirtualRig,
@@ -249,7 +249,7 @@ def summarise(
     names = _names(outcomes, truth)
     if ended and not names:
         what = f"the rig states no parameter of fit '{settings.name}'"
-        raise ConfigError(what, hint=f"it states {listed(list(truth))}")
+        raise ConfigError(what, hint=f"it states {list_names(list(truth))}")
     errors = np.array([squared_error(outcome, names, truth, settings) for outcome in ended])
     shown = _names(results, truth)
     parameters = tuple(_parameter(name, results, truth[name], bounds.get(name)) for name in shown)

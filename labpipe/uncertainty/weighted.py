@@ -74,13 +74,13 @@ class WeightedFit:
     def std_error(self, number: int) -> float:
         return float(np.sqrt(self.covariance[number, number]))
 
-    def stated(self, number: int = 0) -> tuple[float, float, float]:
+    def state(self, number: int = 0) -> tuple[float, float, float]:
         """A parameter, its standard error [any unit], and standard errors to either end of its interval."""
         return float(self.values[number]), self.std_error(number), self.quantile(number)
 
     def amount(self, name: str, unit: str, number: int) -> Parameter:
         """The parameter [unit] with its error and interval."""
-        return with_error(name, unit, *self.stated(number))
+        return with_error(name, unit, *self.state(number))
 
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""

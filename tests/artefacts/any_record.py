@@ -15,7 +15,7 @@ from labpipe.arrays import ComplexArray, IntArray
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.fit_details import Region
 from labpipe.records.identification import Fit, FittedCurve
-from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FORMS, FrequencyResponse, Port, diagonal_covariance
 
 NUMBERS = st.floats(-1e12, 1e12, allow_nan=False) | st.sampled_from(
     [0.0, -0.0, 1e-300, 5e-324, 1.7e308, 0.1, 1 / 3]
@@ -140,7 +140,7 @@ def responses(draw: st.DrawFn) -> FrequencyResponse:
         outputs=tuple(Port(label, draw(TEXTS), draw(TEXTS), draw(st.none() | NUMBERS)) for label in outputs),
         inputs=tuple(Port(label, draw(TEXTS), draw(TEXTS), draw(st.none() | NUMBERS)) for label in inputs),
         form=draw(st.sampled_from(list(FORMS))),
-        covariance=None if variance is None else uncorrelated(variance),
+        covariance=None if variance is None else diagonal_covariance(variance),
         **optional,
         multiple_coherence=draw(st.none() | arrays(n, len(outputs))),
         snr=draw(arrays(n, len(snr_channels))),

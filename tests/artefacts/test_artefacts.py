@@ -23,7 +23,7 @@ from labpipe.raw_files.frf_csv import port_of, read_frf_csv, write_frf_csv
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification, RuleOutcome
 from labpipe.records.recording import Channel
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 HEADER = Header("frf", {"period": 1.0}, inputs=(SourceRef("a.csv", "00"),))
 
@@ -269,7 +269,7 @@ def test_records_are_read_only_and_checked_at_birth(rng: np.random.Generator) ->
         dataclasses.replace(one, outputs=(one.outputs[0], one.outputs[0]))
     with pytest.raises(DataError, match="unknown form"):
         dataclasses.replace(one, form="inertance")
-    assert uncorrelated(one.variance).shape == (5, 4, 4)
+    assert diagonal_covariance(one.variance).shape == (5, 4, 4)
 
 
 # A text counts as true, so that a rule that fails would pass.

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.artefacts.digest import DamagedError
-from labpipe.artefacts.parquet import as_written, open_parquet
+from labpipe.artefacts.parquet import check_layout, open_parquet
 from labpipe.errors import DataError
 
 PATH = Path("a.frf.parquet")
@@ -19,14 +19,14 @@ def test_what_the_artefact_lacks_is_damage(fault: Exception) -> None:
         pytest.raises(
             DamagedError, match=f"^{PATH}: is not as labpipe writes it \\({type(fault).__name__}: "
         ),
-        as_written(PATH),
+        check_layout(PATH),
     ):
         raise fault
 
 
 def test_a_fault_in_plain_words_stays_as_it_is() -> None:
     fault = DataError("holds no lines", where="b.parquet")
-    with pytest.raises(DataError) as caught, as_written(PATH):
+    with pytest.raises(DataError) as caught, check_layout(PATH):
         raise fault
     assert caught.value is fault
 

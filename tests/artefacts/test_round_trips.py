@@ -19,8 +19,8 @@ from labpipe.records.comparison import (
     ComparedBand,
     ComparedPoint,
     Comparison,
-    Curve,
     Overlay,
+    QuantityCurve,
     Study,
     StudyCase,
 )
@@ -346,7 +346,9 @@ BAND = ComparedBand(
     ratio_ci95=(0.9, 1.0),
     p_value=0.04,
 )
-CURVE = Curve("427N", "k", "N/m", frequency=(1.0, 2.0), theory=(3.0, 4.0), matched=(), measured=(5.0, 6.0))
+CURVE = QuantityCurve(
+    "427N", "k", "N/m", frequency=(1.0, 2.0), theory=(3.0, 4.0), matched=(), measured=(5.0, 6.0)
+)
 OVERLAY = Overlay("427N", "receptance", (1.0,), (2.0,), (3.0,), (4.0,))
 
 

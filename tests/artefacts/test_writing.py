@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from labpipe.artefacts.writing import existing_home, only_one, output_file, output_folder
+from labpipe.artefacts.writing import existing_home, hold_lock, output_file, output_folder
 from labpipe.errors import DataError
 
 
@@ -176,13 +176,13 @@ def test_the_null_device_stays_a_device() -> None:
 
 def test_one_at_a_time_holds_a_lock(tmp_path: Path) -> None:
     """A second one is refused as long as the first works, within one process as between two."""
-    with only_one(tmp_path / "lock"):
+    with hold_lock(tmp_path / "lock"):
         with (
             pytest.raises(DataError, match="another process works on this folder"),
-            only_one(tmp_path / "lock"),
+            hold_lock(tmp_path / "lock"),
         ):
             pass
-        with only_one(tmp_path / "another"):
+        with hold_lock(tmp_path / "another"):
             pass
-    with only_one(tmp_path / "lock"):
+    with hold_lock(tmp_path / "lock"):
         pass

@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.arrays import ComplexArray
 from labpipe.estimation import likelihood as start_values, output_error
-from labpipe.estimation.descent import linearised
+from labpipe.estimation.descent import linearise_problem
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.likelihood import starts
 from labpipe.estimation.linear_models import form_view, mdof
@@ -22,7 +22,7 @@ from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.regression import instrumental_variables, least_squares
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import fit_weights
-from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FactoredCovariance, FrequencyResponse, Port, diagonal_covariance
 from tests.estimation.conftest import DAMPING, DOFS, FORCES, MASS, STIFFNESS, with_noise
 from tests.estimation.literal import literal_iv
 
@@ -126,7 +126,7 @@ def chain(n_dof: int, n_line: int, is_shared: bool = False) -> FrequencyResponse
     h = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
     rng, std = np.random.default_rng(1), 0.02 * np.median(np.abs(h))
     noise = std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
-    covariance: ComplexArray | FactoredCovariance = uncorrelated(np.full(h.shape, std**2))
+    covariance: ComplexArray | FactoredCovariance = diagonal_covariance(np.full(h.shape, std**2))
     if is_shared:
         spread = np.eye(n_dof) + 0.5 * np.eye(n_dof, k=-1)
         noise = spread @ noise @ spread.T
@@ -186,6 +186,8 @@ def test_a_linearisation_over_its_derivatives(record_property) -> None:  # type:
     )
     problem = OutputError(data, model, fit_weights(data))
     here = starts(problem)[0].values
-    ratio = cpu_time(lambda: linearised(problem, here), 3) / cpu_time(lambda: problem.linearised(here), 8)
+    ratio = cpu_time(lambda: linearise_problem(problem, here), 3) / cpu_time(
+        lambda: problem.linearise(here), 8
+    )
     record_property("ml_linearisation_derivatives_over_own", round(ratio, 1))
     assert ratio > 3

@@ -19,7 +19,7 @@ from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquil
 from labpipe.methods.journal_bearing.curve import JournalTable, journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
-from labpipe.methods.rotor.shaft import Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, ShaftElement, Sleeve
 from labpipe.methods.wear.tables import VaryingSupport
 from labpipe.records.uncertain import Uncertain
 from tests.methods.wear.worn_cases import WornRig, fit_settings, measured, worn_response, worn_rig
@@ -63,13 +63,15 @@ def identify(table: JournalTable) -> None:
     )
     first = journal_equilibrium(BEARING, LOAD, SPEED)
     standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on(
-        [Support(4, first.stiffness, first.damping)]
+        [NodeSupport(4, first.stiffness, first.damping)]
     )
 
     def bearing(depth: float, angle: float) -> VaryingSupport:
         found = table.coefficients(worn(depth, angle), SPEED)
         return VaryingSupport(
-            Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2]
+            NodeSupport(14, found.stiffness, found.damping),
+            found.stiffness_slopes[:2],
+            found.damping_slopes[:2],
         )
 
     rig, scale = WornRig(standing, bearing, 14, 10), np.array([1e-6, np.deg2rad(1)])

@@ -7,7 +7,7 @@ import io
 
 import numpy as np
 
-from labpipe.methods.modal.likelihood import Lines, Refined
+from labpipe.methods.modal.likelihood import FrfLines, Refined
 from labpipe.methods.modal.poles import normal_equations, refine_with_terms, stabilisation
 from tests.benchmarks.test_identify_ratios import cpu_time
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
@@ -15,9 +15,9 @@ from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 def own(omega: np.ndarray, matrix: np.ndarray) -> Refined:
     modes = stabilisation(normal_equations(omega, matrix, 60), (omega[0], omega[-1]), 60).modes
-    return refine_with_terms(Lines(omega, matrix, 2, np.ones(omega.size)), modes.values, modes.participation)[
-        0
-    ]
+    return refine_with_terms(
+        FrfLines(omega, matrix, 2, np.ones(omega.size)), modes.values, modes.participation
+    )[0]
 
 
 def peer_poles(frequency: np.ndarray, matrix: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ def wall_seconds(action: Callable[[], object], repeats: int) -> float:
 def run_up_seconds() -> float:
     """One vectorised evaluation of a run-up, 27 speeds at two planes."""
     speed = np.arange(400.0, 3001, 100) * np.pi / 30
-    condensed = RIG.condensed(speed, RIG.known_unbalance)
+    condensed = RIG.condense(speed, RIG.known_unbalance)
     stiffness, damping = RIG.start_coefficients(5.0, speed)
     return wall_seconds(lambda: condensed.response(stiffness, damping), 201)
 
@@ -81,7 +81,7 @@ def test_identification_in_run_ups(capsys) -> None:  # type: ignore[no-untyped-d
     runs = trained("outside")
     points = wall_seconds(lambda: fit_points(RIG, runs), 5)
     joint = wall_seconds(lambda: fit_jointly(RIG, runs), 3)
-    condensing = wall_seconds(lambda: RIG.condensed(runs[1].speed, RIG.known_unbalance), 21)
+    condensing = wall_seconds(lambda: RIG.condense(runs[1].speed, RIG.known_unbalance), 21)
     with capsys.disabled():
         print(f"\nrun-up {1e3 * run_up:.3f} ms, condensing it {1e3 * condensing:.2f} ms")
         print(f"per point {1e3 * points:.0f} ms = {points / run_up:.0f} run-ups")
@@ -101,7 +101,7 @@ def test_amplitudes_smooth_factors_and_metamodels_in_run_ups(capsys) -> None:  #
     run_up = run_up_seconds()
     runs = trained("factors")
     joint = fit_jointly(RIG, runs)
-    grid = Grid.sampled(joint, joint.loads, runs[1].speed)
+    grid = Grid.sample(joint, joint.loads, runs[1].speed)
     seconds = {
         "amplitudes, one start": wall_seconds(lambda: fit_amplitudes(RIG, runs), 3),
         "amplitudes, twenty starts": wall_seconds(lambda: fit_amplitudes(RIG, runs, starts=20), 1),

@@ -16,7 +16,7 @@ from labpipe.document.render import html_report
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.identification import Identification, RuleOutcome
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 
 def _driver() -> ModuleType:
@@ -47,7 +47,7 @@ def sliding_result() -> Identification:
     w = 2 * np.pi * frequency
     clean = (1 / (134.5e3 - 0.79 * w**2 + 30j * w))[:, None, None]
     noise = 1e-7 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
-    covariance = uncorrelated(np.full(clean.shape, 1e-14))
+    covariance = diagonal_covariance(np.full(clean.shape, 1e-14))
     ports = (Port("y", "y", "y"),), (Port("f", "f", "y"),)
     response = FrequencyResponse(frequency, clean + noise, *ports, covariance=covariance, name="run")
     fits = identify(

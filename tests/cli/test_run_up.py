@@ -34,7 +34,7 @@ def test_amplitudes_are_those_of_the_unbalance_on_the_loop(
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"orders.csv", *drawn}
     rows = list(csv.DictReader((tmp_path / "out/orders.csv").read_text("utf-8").splitlines()))
     table = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
-    plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().levitated()
+    plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().suspension()
     omega = 2 * np.pi * table["speed_hz"]
     bearing = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     compliance = np.abs(0.065 * omega**2 / (bearing - 0.065 * omega**2))

@@ -74,9 +74,9 @@ def with_plugin(project: Path) -> Iterator[None]:
     """The tables of labpipe in this process, looked up anew with the plug-in: a process takes a second."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(project / "docs/plugin/src"))
-        registry._of_others.cache_clear()
+        registry._groups_of_others.cache_clear()
         yield
-    registry._of_others.cache_clear()
+    registry._groups_of_others.cache_clear()
     for name in [name for name in sys.modules if name.partition(".")[0] == "labpipe_example"]:
         del sys.modules[name]
 

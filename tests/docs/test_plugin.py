@@ -200,7 +200,7 @@ def run_up(
     stiffness, damping = rig.start_coefficients(load, speed)
     split = factors.reshape(2, 2, 2)
     exact = (
-        rig.condensed(speed, rig.known_unbalance)
+        rig.condense(speed, rig.known_unbalance)
         .response(split[0] * stiffness, split[1] * damping)
         .reshape(30, 2, 2)
     )

@@ -24,10 +24,10 @@ from labpipe.methods.planning.designs import certificate, variances
 from labpipe.methods.ring_down.virtual_rig import KIND, DecayRig, motion
 from labpipe.methods.rolling_bearing.settings import (
     BallGeometry,
-    Material as HertzMaterial,
+    ContactMaterial as HertzMaterial,
     ellipse_ratio,
-    in_series,
     point_contact,
+    series_constant,
 )
 from labpipe.methods.rotor.shaft import ShaftElement, plane_inertia, plane_stiffness, shape_functions
 from labpipe.raw_files.excitation import Sweep, schroeder_phases
@@ -179,7 +179,7 @@ def test_contacts() -> None:
     deflection = 3 * k * big_k / (2 * np.pi * star) * (np.pi * star * rho / (3 * k * big_e)) ** (1 / 3)
     assert point_contact(along, across) == pytest.approx(deflection**-1.5)
     parts = (1.0 / 3e9) ** (2 / 3) + (1.0 / 5e9) ** (2 / 3)
-    assert in_series((3e9, 5e9), 1.5) == pytest.approx(parts**-1.5)  # roll-series
+    assert series_constant((3e9, 5e9), 1.5) == pytest.approx(parts**-1.5)  # roll-series
     ball = BallGeometry(0.008, 0.05, 0.52, 0.53, np.radians(25))
     assert ball.groove_distance == pytest.approx((0.52 + 0.53 - 1) * 0.008)  # roll-groove-distance
     assert ball.groove_centre_radius == pytest.approx(

@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 DRAWS, N, LINES, NOISE = 20, 2, 120, 0.003
 F = np.linspace(20.0, 60.0, LINES)
@@ -96,7 +96,7 @@ def counted(fault: Callable[[Rig], np.ndarray]) -> tuple[float, float, float]:
         std = NOISE * rms(rig.receptance(rig.stiffness))
         noise = std * (rig.rng.normal(size=h.shape) + 1j * rig.rng.normal(size=h.shape)) / np.sqrt(2)
         response = FrequencyResponse(
-            F, h + noise, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
+            F, h + noise, outputs, inputs, covariance=diagonal_covariance(np.full(h.shape, std**2))
         )
         (fit,) = identify(response, FitSettings("mdof"))
         reduced.append(fit.gof.chi2_reduced)

@@ -19,7 +19,7 @@ import numpy as np
 from labpipe.errors import LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 DRAWS, FIRST, F_N, MASS = 24, 9000, 100.0, 2.0
 VISIBLE = 1.5
@@ -181,7 +181,7 @@ def counted(name: str, first: int) -> str:
                 h[:, None, None],
                 (Port("y", "y", "2" if transfer else "1"),),
                 (Port("f", "f", "1"),),
-                covariance=uncorrelated(np.full((h.size, 1, 1), std**2)),
+                covariance=diagonal_covariance(np.full((h.size, 1, 1), std**2)),
             )
             begun = time.process_time()
             try:

@@ -20,7 +20,7 @@ from labpipe.methods.magnetic_bearing.comparisons import magnetic_theory
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_fit import loop_fit
 from labpipe.methods.magnetic_bearing.loop_problem import View, with_unknowns
-from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, per_injection
+from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, response_per_injection
 from labpipe.methods.magnetic_bearing.stability import open_loop, sensitivity
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.records.finding import Parameter
@@ -71,7 +71,7 @@ def _with_ports(test: FrequencyResponse | ChannelSpectra) -> FrequencyResponse:
     if not isinstance(test, ChannelSpectra):
         return test
     response, uncertainties = (
-        per_injection(test),
+        response_per_injection(test),
         {channel.name: channel.uncertainties for channel in test.channels},
     )
     ports = {
@@ -107,7 +107,7 @@ def _prediction(settings: CompareSettings, pipeline: Pipeline, tests: list[Frequ
 
 def _on_support(view: View, errors: Errors) -> FrequencyResponse:
     """cos / (k_s + j w c_s + n K(jw) - m w^2) of the true support and mass, in the form of the response."""
-    response, plant, own = view.response, view.file.levitated(), view.settings
+    response, plant, own = view.response, view.file.suspension(), view.settings
     omega = 2 * np.pi * response.frequency
     stiffness, damping = (
         getattr(view.support, name).value
@@ -140,7 +140,7 @@ def _sensitivity(settings: CompareSettings, pipeline: Pipeline, tests: list[Freq
     """Both sides of the sum per excitation: S - 1 ahead of it, S behind it."""
     (response,), assumed = tests, _file(settings, pipeline)
     true = _fitted_file(assumed, loop_sensitivity(settings, response, assumed).amounts, settings)
-    values = sensitivity(true.levitated(), 2 * np.pi * response.frequency)
+    values = sensitivity(true.suspension(), 2 * np.pi * response.frequency)
     rows = {settings.before: values - 1, settings.after: values}
     return _of_signals(
         settings, response, rows, lambda measured: loop_sensitivity(settings, measured, assumed).amounts
@@ -153,7 +153,7 @@ def _certificate(settings: CompareSettings, pipeline: Pipeline, tests: list[Freq
     assert own is not None
     true = _fitted_file(assumed, certificate(settings, response, assumed).amounts, settings)
     signals = open_loop(
-        true.levitated(), 2 * np.pi * response.frequency, own.rate or assumed.loop.rate, own.filtered
+        true.suspension(), 2 * np.pi * response.frequency, own.rate or assumed.loop.rate, own.filtered
     ).signals(own.injection)
     named = {
         "after": own.after[0],

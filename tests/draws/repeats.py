@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, diagonal_covariance
 from tests.estimation.test_repeated import F_N, FREQUENCY, NOISE, ZETA, fitted, mode, repeated
 
 DRAWS, FIRST, NUMBERS = 10, 9000, (3, 5, 10)
@@ -73,7 +73,7 @@ def drawn(kind: str, n: int, seed: int, hidden: float) -> FrequencyResponse:
     noise = std * (rng.normal(size=(n, FREQUENCY.size)) + 1j * rng.normal(size=(n, FREQUENCY.size)))
     matrices = (np.array(h) + noise / np.sqrt(2))[:, :, None, None]
     mean = matrices.mean(axis=0)
-    covariance = uncorrelated(np.full(mean.shape, std**2 / n))
+    covariance = diagonal_covariance(np.full(mean.shape, std**2 / n))
     return replace(
         repeated(n, 0),
         matrix=mean,

@@ -131,7 +131,7 @@ class ResponseWorlds:
     def _noise(self, rng: np.random.Generator) -> np.ndarray:
         n_line, n = self.root.shape[:2]
         if self.lines is not None:
-            white = self.lines.drawn(rng, n)[..., 0]
+            white = self.lines.draw(rng, n)[..., 0]
         else:
             parts = rng.standard_normal((2, n_line, n)) / np.sqrt(2)
             white = parts[0] + 1j * parts[1]

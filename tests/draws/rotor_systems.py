@@ -32,15 +32,15 @@ from labpipe.artefacts.json_file import entry_of
 from labpipe.errors import LabpipeError
 from labpipe.methods.balancing.balance_file import model
 from labpipe.methods.balancing.influence import (
-    Noise,
-    Run,
+    BalanceRun,
+    ReadingNoise,
     best_weights,
     influence,
+    remaining_rms,
     residual_of,
-    rms_left,
     square_of,
 )
-from labpipe.methods.rotor.response import Modes
+from labpipe.methods.rotor.response import WhirlModes
 from labpipe.methods.rotor.theory import Critical, follow, peaks
 from labpipe.methods.rotor_system.build import PEDESTALS, TOGETHER, Built
 from labpipe.methods.rotor_system.evaluate import FAINT, findings_of, most_probable
@@ -134,12 +134,12 @@ def true_peak(of: Built, values: np.ndarray, output: int) -> Critical | None:
     return max(found, key=lambda peak: peak.amplitude) if found else None
 
 
-def turning_modes(of: Built, values: np.ndarray) -> Modes:
+def turning_modes(of: Built, values: np.ndarray) -> WhirlModes:
     """Modes at the operating speed, in the order of the Campbell diagram."""
     spin = 2 * np.pi * OPERATING
     roots = of.model.roots(at_speed(of.model, values), spin, 2 * MOST_MODES)
     shaft = roots.shapes[: of.model.n_shaft].reshape(-1, 4, roots.values.size)
-    return Modes(spin, roots.values, shaft[:, :2].transpose(2, 0, 1))
+    return WhirlModes(spin, roots.values, shaft[:, :2].transpose(2, 0, 1))
 
 
 def judge(
@@ -196,8 +196,8 @@ def judge(
     predicted = drawn_influence(this, run_up(this, speeds), found.draws(200, 5))
     weights = best_weights(square_of(predicted))
     (true_influence,) = drawn_influence(of, run_up(of, speeds), truth[None])
-    before, left = (rms_left(true_influence, acting) for acting in (0 * weights, weights))
-    low, high = interval_of(rms_left(predicted, weights), found.widened)
+    before, left = (remaining_rms(true_influence, acting) for acting in (0 * weights, weights))
+    low, high = interval_of(remaining_rms(predicted, weights), found.widened)
     held["left"].append(low < left < high)
     held["left, upper"].append(left < high)
     held["% left"].append(100 * left / before)
@@ -207,7 +207,7 @@ def judge(
 
 # What readings repeat to, a trial weight in either plane [kg m], and how often the readings of a rotor are
 # drawn: a single time each, eighty rotors tell a coverage to 2.4 % only.
-READING, TRIAL, READ = Noise(1.5e-7, 0.01), 1.5e-4, 3
+READING, TRIAL, READ = ReadingNoise(1.5e-7, 0.01), 1.5e-4, 3
 
 
 def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, before: float) -> None:
@@ -221,10 +221,10 @@ def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, befo
         path.write_text(json.dumps({"rotor_system": {"balance": entry}}))
         prior, _ = model(path, stated.planes, ())
 
-    def run(weights: np.ndarray) -> Run:
+    def run(weights: np.ndarray) -> BalanceRun:
         z = truth @ np.concatenate([[1.0], weights])
         noise = rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size)
-        return Run("", weights, z + np.sqrt(READING.variance(z) / 2) * noise)
+        return BalanceRun("", weights, z + np.sqrt(READING.variance(z) / 2) * noise)
 
     trials = [run(weights) for weights in np.array([[0, 0], [TRIAL, 0], [0, TRIAL]], complex)]
     first = run(best_weights(prior.square))
@@ -241,7 +241,7 @@ def ways_to_balance(held: Held, truth: np.ndarray, stated: InfluenceResult, befo
         reading = np.sqrt(np.mean(np.abs(run(weights).readings) ** 2))
         held[f"by {name}"].append(low < reading < high)
         held[f"by {name}, below"].append(reading > low)
-        held[f"% left by {name}"].append(100 * rms_left(truth, weights) / before)
+        held[f"% left by {name}"].append(100 * remaining_rms(truth, weights) / before)
 
 
 def by_numbers(kind: str, n_draw: int, seconds: float, seed: int) -> tuple[Held, Counter[str]]:

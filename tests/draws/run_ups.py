@@ -108,7 +108,7 @@ class RunUpWorlds:
             "amplitude_error": sizes,
             "phase_error": phases,
         }
-        exact = self.rig.excited(replace(run, **blank)).response(*coefficients(speed)).reshape(sizes.shape)
+        exact = self.rig.excite(replace(run, **blank)).response(*coefficients(speed)).reshape(sizes.shape)
         read = exact * _factors(run.planes, speed, errors)
         noise = np.zeros((2, *sizes.shape)) if rng is None else rng.standard_normal((2, *sizes.shape))
         read = read * (1 + sizes * noise[0]) * np.exp(1j * phases * noise[1])

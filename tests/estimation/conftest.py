@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 PEDESTAL = {"k": 134.5e3, "c": 3.682, "m": 0.79}
 COUPLED_K = np.array([[180e3, 25e3], [-18e3, 210e3]])
@@ -34,7 +34,7 @@ def with_noise(
             rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)
         ) / np.sqrt(2)
     return FrequencyResponse(
-        frequency, matrix, outputs, inputs, covariance=uncorrelated(variance) if std else None
+        frequency, matrix, outputs, inputs, covariance=diagonal_covariance(variance) if std else None
     )
 
 

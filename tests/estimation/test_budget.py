@@ -18,7 +18,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.project.judging import judge
 from labpipe.project.rules import Rule
 from labpipe.records.finding import Parameter
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.spectra import FreeDecay, FreeDecays
 from labpipe.records.uncertain import Budget, ChannelUncertainty, Uncertain, Uncertainty
 from labpipe.report.budget import budget_blocks
@@ -40,7 +40,9 @@ def a_response(rng, noise: float = 1e-3, output=(GAIN_X, DELAY_X), force=(GAIN_F
     error = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
     matrix = (h + error)[:, None, None]
     ports = (Port("x", "x", "x", 0.0, tuple(output)),), (Port("f", "f", "x", 0.0, tuple(force)),)
-    return FrequencyResponse(BAND, matrix, *ports, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+    return FrequencyResponse(
+        BAND, matrix, *ports, covariance=diagonal_covariance(np.full(matrix.shape, std**2))
+    )
 
 
 def changed(response: FrequencyResponse, effect: str, error: float) -> FrequencyResponse:
@@ -118,7 +120,9 @@ def test_a_frequency_that_uncertainties_take_away_is_refused() -> None:
     matrix = (1 / (1e-3 - M * w**2 + 1j * w * C))[:, None, None]
     ports = (Port("x", "x", "x", 0.0, ()),), (Port("f", "f", "x", 0.0, ()),)
     std = 1e-9 * np.max(np.abs(matrix))
-    response = FrequencyResponse(BAND, matrix, *ports, covariance=uncorrelated(np.full(matrix.shape, std**2)))
+    response = FrequencyResponse(
+        BAND, matrix, *ports, covariance=diagonal_covariance(np.full(matrix.shape, std**2))
+    )
     with pytest.raises(FitError, match="stated uncertainties reach to where there is no f_n"):
         identify(response, settings("ml", mass="0.79 kg +- 1 %"))
 
@@ -162,7 +166,7 @@ def test_directions_of_forces_make_cross_terms_uncertain(rng, model: str, cross:
         outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
         inputs = (Port("fx", "fx", "x", angle, (turned,)), Port("fy", "fy", "y", np.pi / 2))
         response = FrequencyResponse(
-            w / (2 * np.pi), noisy, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
+            w / (2 * np.pi), noisy, outputs, inputs, covariance=diagonal_covariance(np.full(h.shape, std**2))
         )
         return identify(response, FitSettings(model, mass=0.9, name="r"))[0]
 
@@ -196,7 +200,7 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
         matrix = noisy.copy()
         matrix[:, 0] = np.cos(angle) * noisy[:, 0] + np.sin(angle) * noisy[:, 1]
         response = FrequencyResponse(
-            w / (2 * np.pi), matrix, outputs, inputs, covariance=uncorrelated(np.full(h.shape, std**2))
+            w / (2 * np.pi), matrix, outputs, inputs, covariance=diagonal_covariance(np.full(h.shape, std**2))
         )
         return identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))[0]
 
@@ -358,7 +362,7 @@ def test_draws_without_a_frequency_are_failed_refits() -> None:
     force = Port("f", "f", "x", uncertainties=(gain,))
     variance = np.full(h.shape, 6e-5 * np.mean(np.abs(h) ** 2))
     response = FrequencyResponse(
-        w / (2 * np.pi), h, (Port("y", "y", "x"),), (force,), covariance=uncorrelated(variance)
+        w / (2 * np.pi), h, (Port("y", "y", "x"),), (force,), covariance=diagonal_covariance(variance)
     )
     with pytest.raises(FitError, match="of 200 refits failed"):
         identify(response, FitSettings("sdof", mass=2.0, estimator="ls", name="p", monte_carlo=200))
@@ -370,7 +374,7 @@ def test_draws_take_a_contradicted_number_by_its_distance() -> None:
     h = (1 / (8.08e5 - 2.02 * w**2 + 14j * w))[:, None, None]
     ports = (Port("y", "y", "x"),), (Port("f", "f", "x"),)
     variance = np.full(h.shape, 1e-6 * np.mean(np.abs(h) ** 2))
-    response = FrequencyResponse(w / (2 * np.pi), h, *ports, covariance=uncorrelated(variance))
+    response = FrequencyResponse(w / (2 * np.pi), h, *ports, covariance=diagonal_covariance(variance))
     asked = FitSettings("sdof", mass=2.0, uncertainties=(("mass", Uncertain(2.0, 0.002)),), estimator="ls")
     plain, drawn = (
         identify(response, dataclasses.replace(asked, monte_carlo=draws))[0].parameter("k")

@@ -15,7 +15,7 @@ import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 GAIN_F, GAIN_X, DELAY, ANGLE, MASS = 0.005, 0.01, 2e-6, np.radians(0.5), 0.005
@@ -85,7 +85,7 @@ def pedestal(rng, draws: int, mass_known: bool) -> Worlds:
             frequency,
             recorded[:, None, None],
             *ports,
-            covariance=uncorrelated(np.full((w.size, 1, 1), std**2)),
+            covariance=diagonal_covariance(np.full((w.size, 1, 1), std**2)),
         )
         weighed = m * (1 + MASS * rng.standard_normal())
         mass = f"{weighed!r} kg +- {MASS * m!r} kg" if mass_known else "estimate"
@@ -118,7 +118,7 @@ def rotor(rng, draws: int) -> Worlds:
             std * (rng.standard_normal(inverse.shape) + 1j * rng.standard_normal(inverse.shape)) / np.sqrt(2)
         )
         recorded = inverse @ force * gains_x[:, None] / gains_f + noise
-        covariance = uncorrelated(np.full(inverse.shape, std**2))
+        covariance = diagonal_covariance(np.full(inverse.shape, std**2))
         response = FrequencyResponse(frequency, recorded, outputs, inputs, covariance=covariance)
         mass = f"{m * (1 + MASS * rng.standard_normal())!r} kg +- {MASS * m!r} kg"
         worlds.add(identify(response, FitSettings("rotor-2dof", mass=mass, name="r"), judging=False)[0])
@@ -161,7 +161,7 @@ def relative_change(rng, k: float, mass: str) -> float:
     std = 1e-3 * np.max(np.abs(h))
     noise = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
     ports = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0, uncertainties_of("f", GAIN_F)),)
-    covariance = uncorrelated(np.full((w.size, 1, 1), std**2))
+    covariance = diagonal_covariance(np.full((w.size, 1, 1), std**2))
     response = FrequencyResponse(frequency, (h + noise)[:, None, None], *ports, covariance=covariance)
     (fit,) = identify(response, FitSettings("sdof", mass=mass, name="p"))
     return fit.budget.change_by("f.sensitivity", "k") / fit.parameter("k").value / GAIN_F

@@ -15,7 +15,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.project.marked_yaml import load_marked
 from labpipe.project.settings_reader import Faults, read_settings
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 SDOF = FitSettings("sdof", mass=0.79, name="pedestal")
 K, M, C = {"x": 4e5, "z": 9e5}, 2.0, 40.0
@@ -34,7 +34,7 @@ def two_directions() -> FrequencyResponse:
     outputs = tuple(Port(dof, dof, dof) for dof in K)
     inputs = tuple(Port(f"f@{dof}", "f", dof) for dof in K)
     return FrequencyResponse(
-        frequency, matrix, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, 1e-18))
+        frequency, matrix, outputs, inputs, covariance=diagonal_covariance(np.full(matrix.shape, 1e-18))
     )
 
 

@@ -16,7 +16,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import sdof
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings, Support
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 from tests.estimation.noisy import measured
 
@@ -62,7 +62,7 @@ def response(h: np.ndarray, rng: np.random.Generator, *, known: bool = True) -> 
     noise = std * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)) / np.sqrt(2)
     outputs = Port("1", "1", "1"), Port("2", "2", "2")
     inputs = Port("f1", "f1", "1"), Port("f2", "f2", "2")
-    covariance = uncorrelated(np.full(h.shape, std**2)) if known else None
+    covariance = diagonal_covariance(np.full(h.shape, std**2)) if known else None
     return FrequencyResponse(FREQUENCY, h + noise, outputs, inputs, covariance=covariance)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.estimation.derived import FEWEST, MOST, between, drawn_densely
+from labpipe.estimation.derived import FEWEST, MOST, drawn_densely, lines_between
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.response import FrequencyResponse, Port
@@ -41,12 +41,12 @@ def test_straight_lines_between_the_points_follow_the_model() -> None:
 
 def test_a_straight_model_gets_no_more_than_equal_parts() -> None:
     frequency, values = drawn_densely(lambda f: np.ones((f.size, 1, 1), complex), np.arange(1.0, 12.0))
-    np.testing.assert_allclose(frequency, between(np.arange(1.0, 12.0)))
+    np.testing.assert_allclose(frequency, lines_between(np.arange(1.0, 12.0)))
     assert frequency.size == 201 and values.shape == (201, 1, 1)
 
 
 def test_number_of_frequencies_is_bounded_and_one_line_stays_one() -> None:
-    assert between(np.arange(3000.0)).size == 3000 and between(np.array([7.0])).tolist() == [7.0]
+    assert lines_between(np.arange(3000.0)).size == 3000 and lines_between(np.array([7.0])).tolist() == [7.0]
     rng = np.random.default_rng(1)
     rough, _ = drawn_densely(lambda f: rng.normal(size=(f.size, 1, 1)) + 0j, np.arange(500.0))
     assert rough.size == MOST

@@ -43,7 +43,7 @@ def hidden_mode() -> Fitted:
         + 0.2 * mode(f, 170, 0.01)
     )
     model = ModeModel(Curve(f, mode(f, 100, 0.01) + others + 0.1 * noise(81, 1), np.full(81, 0.1)))
-    return model.fitted(model.started(np.log([100, 0.01])))
+    return model.fit(model.start(np.log([100, 0.01])))
 
 
 def gain_curve() -> Fitted:
@@ -52,7 +52,7 @@ def gain_curve() -> Fitted:
     exact = mode(f, 100, 0.012) * (1 + 0.02 * np.cos(2.2 * x + 0.3) + 0.015j * np.sin(2.8 * x))
     std = 0.002 * np.abs(exact) + 0.02
     model = ModeModel(Curve(f, exact + std * noise(61, 7), std), coefficients=True, residual=0)
-    return model.fitted(model.started(np.log([1.0, 3.8e-5, 2.5e-6])))
+    return model.fit(model.start(np.log([1.0, 3.8e-5, 2.5e-6])))
 
 
 # (type, length, amplitude): ln E (set 2 alone: residues have a unit of their own), mean, variance, largest
@@ -129,7 +129,7 @@ def test_the_whole_mixture_is_that_of_the_independent_calculation(made, shares, 
     )
     for number, (low, high) in enumerate(stated):
         row = np.eye(found.noise.shape[0])[number]
-        assert found.stated(row)[1:] == pytest.approx((low, high), abs=1e-3 * (high - low) / 2)
+        assert found.stated_interval(row)[1:] == pytest.approx((low, high), abs=1e-3 * (high - low) / 2)
 
 
 def test_the_hidden_mode_is_found_where_it_is() -> None:
@@ -151,10 +151,10 @@ def test_coefficients_are_those_of_the_mode_that_was_fitted(f_2: float, zeta_2: 
     exact = mode(f, 100.0, 0.0097) + size * mode(f, f_2, zeta_2)
     std = 0.004 / (2 * 0.0097) * np.ones(141)
     model = ModeModel(Curve(f, exact + std * noise(141, 5), std), coefficients=True, residual=0)
-    found = mixture(model.fitted(model.started(np.log([1.0, 2 * 0.0097 / w, 1 / w**2]))))
+    found = mixture(model.fit(model.start(np.log([1.0, 2 * 0.0097 / w, 1 / w**2]))))
     assert found.second == pytest.approx(f_2, rel=1e-3)
     for row, truth in ((np.eye(3)[0], 0.0), (np.eye(3)[1], np.log(2 * 0.0097 / w))):
-        _, low, high = found.stated(row)
+        _, low, high = found.stated_interval(row)
         assert low < truth < high < low + 0.04
 
 
@@ -169,9 +169,9 @@ def test_a_second_mode_beside_a_resonance_that_drifts(coefficients: bool) -> Non
     curve = Curve(f, drift + 0.1 * mode(f, 102.6, 0.012) + std * noise(141, 3), std)
     start = np.log([1.0, 2 * 0.01 / 628.3, 628.3**-2] if coefficients else [100, 0.01])
     model = ModeModel(curve, coefficients=coefficients, residual=0 if coefficients else 1)
-    found = mixture(model.fitted(model.started(start)))
+    found = mixture(model.fit(model.start(start)))
     row = model.to_resonance[1] if coefficients else np.eye(found.noise.shape[0])[1]
-    _, low, high = np.array(found.stated(row)) + (model.offset[1] if coefficients else 0.0)
+    _, low, high = np.array(found.stated_interval(row)) + (model.offset[1] if coefficients else 0.0)
     assert low < np.log(0.01) < high < low + 0.2
 
 
@@ -189,7 +189,7 @@ def test_slopes_of_every_member_are_central_differences() -> None:
             ("JU", [0.004, 101.0, 0.02]),
         ):
             model = ModeModel(curve, coefficients, 2, member=member)
-            theta = model.started(np.concatenate([q, np.log(more)]))
+            theta = model.start(np.concatenate([q, np.log(more)]))
             jacobian = model.at(theta)[1]
             for number in range(theta.size):
                 step = (
@@ -210,9 +210,9 @@ def test_a_sound_fit_keeps_its_interval() -> None:
         rng = np.random.default_rng(seed)
         drawn = 0.05 * (rng.standard_normal(100) + 1j * rng.standard_normal(100)) / np.sqrt(2)
         model = ModeModel(Curve(f, mode(f, 100, 0.01) + drawn, np.full(100, 0.05)))
-        found = mixture(model.fitted(model.started(np.log([100, 0.01]))))
+        found = mixture(model.fit(model.start(np.log([100, 0.01]))))
         row = np.eye(found.noise.shape[0])[1]
-        _, low, high = found.stated(row)
+        _, low, high = found.stated_interval(row)
         widths.append((high - low) / (2 * 1.959964 * np.sqrt(row @ found.noise @ row)))
         held += low <= np.log(0.01) <= high
     # Of 30 at 95 % fewer than 25 come once in 600 times.
@@ -223,7 +223,7 @@ def test_a_band_that_shows_no_course_is_refused() -> None:
     f = np.linspace(99, 101, 30)
     model = ModeModel(Curve(f, mode(f, 100, 0.01), np.full(30, 0.1)))
     with pytest.raises(FitError, match="too narrow"):
-        mixture(model.fitted(model.started(np.log([100, 0.01]))))
+        mixture(model.fit(model.start(np.log([100, 0.01]))))
 
 
 def test_ends_of_one_wide_component_are_those_of_a_normal_distribution() -> None:

@@ -11,7 +11,7 @@ from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.transfer_mode import DrivingMode
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 # A floor of a building: its third mode, of 150 t, the first and second below it and stiffer ones above.
 FREQUENCY = np.linspace(6.0, 10.0, 161)
@@ -27,7 +27,7 @@ def mode(f_n: float, zeta: float, mass: float) -> np.ndarray:
 def response(h: np.ndarray, noise: float = 0.0, seed: int = 0) -> FrequencyResponse:
     rng, std = np.random.default_rng(seed), noise * np.max(np.abs(h))
     h = h + std * (rng.normal(size=h.size) + 1j * rng.normal(size=h.size)) / np.sqrt(2)
-    covariance = uncorrelated(np.full((h.size, 1, 1), std**2)) if noise else None
+    covariance = diagonal_covariance(np.full((h.size, 1, 1), std**2)) if noise else None
     return FrequencyResponse(
         FREQUENCY, h[:, None, None], (Port("y", "y", "3"),), (Port("f", "f", "3"),), covariance=covariance
     )

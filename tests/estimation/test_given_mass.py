@@ -19,7 +19,7 @@ from labpipe.estimation.regression import equation_solution, regression
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from tests.estimation.noisy import measured
 
 # 1 kg on 63.17 kN/m: 40 Hz, with 1 % damping 5.03 N s/m.
@@ -41,7 +41,9 @@ def resonance(
     white = np.random.default_rng(seed).normal(size=(2, f.size + 1))
     noise = (white[:, 1:] + shared * white[:, :-1]) / np.sqrt(2 * (1 + shared**2))
     matrix = h + std * (noise[0] + 1j * noise[1])[:, None, None]
-    return FrequencyResponse(f, matrix, *PORTS, covariance=uncorrelated(std**2) if noise_known else None)
+    return FrequencyResponse(
+        f, matrix, *PORTS, covariance=diagonal_covariance(std**2) if noise_known else None
+    )
 
 
 def findings(fit: Fit, code: str) -> list[Finding]:

@@ -133,7 +133,7 @@ def test_slopes_are_central_differences() -> None:
     settings = FitSettings(
         "mdof", mass=(1.0, 2.0, 3.0), symmetric=True, damping="hysteretic", fixed=(("k_1_3", 0.1),)
     )
-    model = HYSTERETIC(MODELS["mdof"].model(Setup(DOFS, FORCES, settings)).fixed("k_1_3", 0.1))
+    model = HYSTERETIC(MODELS["mdof"].model(Setup(DOFS, FORCES, settings)).fix("k_1_3", 0.1))
     start, omega = 1 + 0.1 * np.arange(len(model.names)), np.array([0.3, 1.1, 2.2])
     jacobian = model.jacobian(start, omega)
     for number in range(start.size):

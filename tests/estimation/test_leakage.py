@@ -25,7 +25,7 @@ from labpipe.project.ready_response import load_described
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
 from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout, WindowedSettings
-from labpipe.records.response import Blocks, FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import Blocks, FrequencyResponse, Port, diagonal_covariance
 from labpipe.spectra.windows import kernel_of, window_values
 
 # 1 kg at 60 Hz, half-power width 1.2 Hz.
@@ -182,7 +182,7 @@ def response(length: float, window: str = "hann", estimator: str = "H1") -> Freq
     """The expected H1 of 60 blocks on the lines of 40-80 Hz, with a covariance of 1 % of the peak."""
     frequency = np.arange(int(40 * length), int(80 * length) + 1) / length
     matrix = in_lag_domain(frequency, length, window)
-    covariance = uncorrelated(np.full(matrix.shape, (0.01 * np.abs(matrix).max()) ** 2))
+    covariance = diagonal_covariance(np.full(matrix.shape, (0.01 * np.abs(matrix).max()) ** 2))
     blocks = Blocks(length, window, 0.5, 60, estimator)
     more = {
         "covariance": covariance,
@@ -285,7 +285,7 @@ def test_leakage_scatters_as_predicted(rng: np.random.Generator) -> None:
     # can be read off.
     matrix = receptance(lines / length)
     whole = FrequencyResponse(
-        lines / length, matrix, *PORTS, covariance=uncorrelated(np.full(matrix.shape, 1e-18)),
+        lines / length, matrix, *PORTS, covariance=diagonal_covariance(np.full(matrix.shape, 1e-18)),
         covariance_dof=37.0, averages=38.0,
         line_correlation=(0.45, 0.03), blocks=Blocks(length, "hann", 0.5, n_block, "H1"),
     )  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.errors import FitError
 from labpipe.estimation.damping import damp
-from labpipe.estimation.descent import linearised
+from labpipe.estimation.descent import linearise_problem
 from labpipe.estimation.likelihood import starts
 from labpipe.estimation.linear_models import mdof
 from labpipe.estimation.measured import Measured
@@ -23,7 +23,7 @@ from labpipe.estimation.weights import (
     ProductWeights,
     correlation_factors,
     fit_weights,
-    whitened,
+    whiten_values,
     whitened_columns,
     whitener,
 )
@@ -94,7 +94,7 @@ CASES = {
 def test_products_are_those_of_the_derivatives(case: str, noise: str, rng: np.random.Generator) -> None:
     problem = problem_of(*CASES[case], rng, noise)
     here = starts(problem)[0].values * 1.02
-    ours, plain = problem.linearised(here), linearised(problem, here)
+    ours, plain = problem.linearise(here), linearise_problem(problem, here)
     assert has_line_products(problem.model.linear, problem.weights)
     np.testing.assert_allclose(ours.scale, plain.scale, rtol=1e-12)
     np.testing.assert_allclose(ours.triangle.T @ ours.triangle, plain.triangle.T @ plain.triangle, atol=1e-11)
@@ -116,11 +116,11 @@ def test_starts_are_those_of_the_written_out_regressions(noise: str, rng: np.ran
     found = {start.name: start.values for start in starts(problem)}
     first = equation_solution(regression(measured, model, "none"), model)[0]
     np.testing.assert_allclose(found["least squares"], first, rtol=1e-10)
-    terms = model.filtered(first, model.equation_terms(measured.matrix, measured.omega), measured.omega)
-    side = model.filtered(
+    terms = model.filter(first, model.equation_terms(measured.matrix, measured.omega), measured.omega)
+    side = model.filter(
         first, model.equation_constant(measured.matrix, measured.omega)[None], measured.omega
     )[0]
-    second = solve_scaled(problem.whitened(terms).T, problem.whitened(side))[0]
+    second = solve_scaled(problem.whiten(terms).T, problem.whiten(side))[0]
     np.testing.assert_allclose(found["reweighted least squares (pass 1)"], second, rtol=1e-10)
 
 
@@ -128,7 +128,7 @@ def test_noise_that_frfs_share_has_no_such_products(rng: np.random.Generator) ->
     problem = problem_of(*CASES["symmetric"], rng, "common")
     assert not has_line_products(problem.model, problem.weights)
     here = starts(problem)[0].values
-    np.testing.assert_array_equal(problem.linearised(here).triangle, linearised(problem, here).triangle)
+    np.testing.assert_array_equal(problem.linearise(here).triangle, linearise_problem(problem, here).triangle)
     np.testing.assert_array_equal(problem.weights, whitener(problem.measured))
 
 
@@ -145,10 +145,10 @@ def test_factors_of_the_weights_whiten_as_the_whole_whitener(rng: np.random.Gene
     whole, here = whitener(problem.measured), starts(problem)[0].values
     values = rng.standard_normal((4, 40, 3, 2)) + 1j * rng.standard_normal((4, 40, 3, 2))
     np.testing.assert_allclose(
-        whitened(problem.weights, values), whitened(whole, values), rtol=1e-9, atol=1e-9
+        whiten_values(problem.weights, values), whiten_values(whole, values), rtol=1e-9, atol=1e-9
     )
     np.testing.assert_allclose(
-        whitened(problem.weights, values[0]), whitened(whole, values[0]), rtol=1e-9, atol=1e-9
+        whiten_values(problem.weights, values[0]), whiten_values(whole, values[0]), rtol=1e-9, atol=1e-9
     )
     np.testing.assert_allclose(
         whitened_columns(problem.weights, values), whitened_columns(whole, values), rtol=1e-9, atol=1e-9

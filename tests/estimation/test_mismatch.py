@@ -13,7 +13,7 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, diagonal_covariance
 from tests.estimation.test_residual_structure import F0, ZETA, response
 
 HANN = (-2 / 3, 1 / 6)
@@ -83,7 +83,7 @@ def test_scatter_of_gain_gives_every_line_its_own_noise() -> None:
 def test_a_measured_excess_widens_the_intervals_and_says_by_how_much() -> None:
     plain = response("", 3)
     variance = np.mean(np.abs(plain.matrix) ** 2) * 1e-4
-    small = replace(plain, covariance=uncorrelated(np.full(plain.matrix.shape, variance / 9)))
+    small = replace(plain, covariance=diagonal_covariance(np.full(plain.matrix.shape, variance / 9)))
     (fit,) = identify(small, FitSettings("sdof"))
     k = fit.parameter("k")
     # Noise thrice as large as its covariance says, and nothing else wrong: the factor is at least 3 and far

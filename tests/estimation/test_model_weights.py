@@ -116,7 +116,7 @@ def test_responses_whose_noise_is_estimated_alone_cost_one_degree_of_freedom() -
         "omega": np.arange(1.0, 51.0), "matrix": matrix, "noise_dof": 5.0, "noise_lines": 1.0, "outputs": (),
         "inputs": (),
     }  # fmt: skip
-    alone = BlockCovariance.uncorrelated(np.ones(matrix.shape))
+    alone = BlockCovariance.from_variance(np.ones(matrix.shape))
     by_three = BlockCovariance(np.arange(6).reshape(2, 3), np.tile(np.eye(3) + 0.5, (50, 2, 1, 1)))
     for covariance, p in ((alone, 1), (alone.whole(), 1), (by_three, 3), (by_three.whole(), 3)):
         found = weight_uncertainty(Measured(**known, covariance=covariance), 300)
@@ -136,7 +136,7 @@ def test_their_chi_square_scatters_as_said() -> None:
     squares = np.sum(rng.chisquare(2, shape) / 2 / estimates, axis=(1, 2)) * 2
     measured = Measured(
         omega=np.arange(1.0, 301.0), matrix=np.ones((300, 4, 1), complex), noise_dof=nu, noise_lines=1.0,
-        outputs=(), inputs=(), covariance=BlockCovariance.uncorrelated(np.ones((300, 4, 1))),
+        outputs=(), inputs=(), covariance=BlockCovariance.from_variance(np.ones((300, 4, 1))),
     )  # fmt: skip
     found = weight_uncertainty(measured, 2400)
     low = [found.p_value(square / 2400 / found.excess, 2400) < 0.05 for square in squares]

@@ -33,7 +33,7 @@ def test_normal_equations_are_those_of_the_jacobian(three_dof_response, rng) -> 
     data = measured(three_dof_response(0.05, rng))
     fit = RationalFit(data, whitener(data), 3)
     jacobian, residual = fit.jacobian(fit.start()), fit.residual(fit.start())
-    linear = fit.linearised(fit.start())
+    linear = fit.linearise(fit.start())
     lengths = np.linalg.norm(jacobian, axis=0)
     np.testing.assert_allclose(linear.scale, lengths, rtol=1e-10)
     unit = jacobian / lengths

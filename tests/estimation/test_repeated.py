@@ -22,7 +22,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import Finding, Parameter, Repeats
 from labpipe.records.identification import Fit, random_part
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 FREQUENCY = np.linspace(90.0, 110.0, 101)
@@ -54,7 +54,7 @@ def repeated(
         mean,
         (Port("y", "y", "x"),),
         (Port("f", "f", "x"),),
-        covariance=uncorrelated(variance),
+        covariance=diagonal_covariance(variance),
         covariance_dof=n - 1.0,
         averages=n,
         repeats=np.array(matrices),
@@ -216,7 +216,7 @@ def test_modes_of_a_repeat_that_shows_fewer_keep_their_numbers() -> None:
         np.mean(matrices, axis=0),
         (Port("y", "y", "2"),),
         (Port("f", "f", "1"),),
-        covariance=uncorrelated(np.var(matrices, axis=0, ddof=1) / 5),
+        covariance=diagonal_covariance(np.var(matrices, axis=0, ddof=1) / 5),
         covariance_dof=4.0,
         averages=5,
         repeats=np.array(matrices),

@@ -14,7 +14,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.residual import SAID, Null, residual_structure
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 F0, ZETA = 40.0, 0.01
 WIDTH = 2 * ZETA * F0
@@ -63,7 +63,8 @@ def test_right_fits_are_left_alone() -> None:
 def test_known_noise_is_for_chi_square() -> None:
     unknown = response("step of gain", 1)
     known = replace(
-        unknown, covariance=uncorrelated(np.full(unknown.matrix.shape, np.mean(np.abs(unknown.matrix) ** 2)))
+        unknown,
+        covariance=diagonal_covariance(np.full(unknown.matrix.shape, np.mean(np.abs(unknown.matrix) ** 2))),
     )
     (fit,) = identify(known, FitSettings("sdof"))
     assert "model-mismatch" not in codes(fit)

@@ -17,7 +17,7 @@ from labpipe.estimation.measured import measured_part
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import WeightUncertainty, weight_uncertainty
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 SHARED = (0.4, 0.1)
 
@@ -29,7 +29,7 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
     clean = (1 / (134.5e3 - 0.79 * w**2 + 30j * w))[:, None, None]
     noise = 1e-7 * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape)) / np.sqrt(2)
     ports = (Port("y", "y", "y"),), (Port("f", "f", "y"),)
-    covariance = uncorrelated(np.full(clean.shape, 1e-14))
+    covariance = diagonal_covariance(np.full(clean.shape, 1e-14))
     return FrequencyResponse(frequency, clean + noise, *ports, covariance=covariance, line_correlation=SHARED)
 
 

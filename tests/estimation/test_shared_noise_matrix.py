@@ -54,7 +54,7 @@ def test_products_and_power_are_those_of_the_matrix(noise: SharedNoise, rng: np.
 
 
 def test_drawn_noise_has_the_correlation(noise: SharedNoise, rng: np.random.Generator) -> None:
-    draws = np.array([noise.drawn(rng, N_ELEMENT)[..., 0] for _ in range(3000)])
+    draws = np.array([noise.draw(rng, N_ELEMENT)[..., 0] for _ in range(3000)])
     for element in range(N_ELEMENT):
         matrix = literal(noise, element)
         size = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix))).real

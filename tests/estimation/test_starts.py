@@ -14,7 +14,7 @@ from labpipe.estimation.model import Setup
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import whitener
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from tests.estimation.noisy import measured
 
 TRUTH = {"k": 1.35e5, "c": 10.0, "m": 0.79}
@@ -29,7 +29,7 @@ def test_reweighting_goes_on_as_long_as_it_is_worth_while() -> None:
     rng = np.random.default_rng(1)
     std = 0.07 * np.max(np.abs(h))
     h = h + std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
-    covariance = uncorrelated(np.full((w.size, 1, 1), std**2))
+    covariance = diagonal_covariance(np.full((w.size, 1, 1), std**2))
     data = measured(FrequencyResponse(frequency, h[:, None, None], *PORTS, covariance=covariance))
     model = sdof(Setup(*PORTS, FitSettings("sdof")))
     problem = OutputError(data, model, whitener(data))

@@ -19,7 +19,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Stated, pulls_of
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 GAIN, DELAY, PHASE, TURN, MASS = 0.003, 1.5e-5, 0.002, 0.005, 0.005
@@ -36,7 +36,7 @@ def noisy(
     std = noise * np.max(np.abs(h))
     drawn = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
     return FrequencyResponse(
-        f, drawn, *ports, covariance=uncorrelated(np.full(h.shape, std**2)) if known else None
+        f, drawn, *ports, covariance=diagonal_covariance(np.full(h.shape, std**2)) if known else None
     )
 
 

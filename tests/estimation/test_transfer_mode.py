@@ -12,7 +12,7 @@ from labpipe.estimation.likelihood import maximum_likelihood, maximum_likelihood
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.transfer_mode import TransferMode, is_transfer, transfer_start
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from tests.estimation.noisy import measured
 
 F0, ZETA, CONSTANT = 40.0, 0.01, 0.8
@@ -106,7 +106,7 @@ def test_negative_damping_and_a_pole_beside_the_band_are_said(known: bool) -> No
     if known:
         growing = replace(
             growing,
-            covariance=uncorrelated(
+            covariance=diagonal_covariance(
                 np.full(growing.matrix.shape, 1e-4 * np.mean(np.abs(growing.matrix) ** 2))
             ),
         )

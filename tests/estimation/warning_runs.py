@@ -19,7 +19,7 @@ from labpipe.methods.magnetic_bearing.virtual_rig import MAGNETIC_RIG
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.quality import reciprocity_findings
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -103,7 +103,11 @@ def two_directions(seed: int, settings: FitSettings, inputs: int = 2) -> frozens
     )
     return codes(
         FrequencyResponse(
-            f, h + noise[0] + 1j * noise[1], outputs, forces, covariance=uncorrelated(np.full(h.shape, 9e-16))
+            f,
+            h + noise[0] + 1j * noise[1],
+            outputs,
+            forces,
+            covariance=diagonal_covariance(np.full(h.shape, 9e-16)),
         ),
         settings,
     )
@@ -119,7 +123,7 @@ def unknown_noise(seed: int, known: bool) -> frozenset[str]:
         f, h + noise[0] + 1j * noise[1], (Port("x", "x", "x"),), (Port("f", "f", "x"),)
     )
     return codes(
-        replace(response, covariance=uncorrelated(np.full(h.shape, 2e-12))) if known else response,
+        replace(response, covariance=diagonal_covariance(np.full(h.shape, 2e-12))) if known else response,
         FitSettings("sdof", mass=1.0),
     )
 
@@ -231,7 +235,7 @@ def reciprocal(seed: int, skew: float) -> frozenset[str]:
     noise = np.random.default_rng(seed).normal(size=(2, *h.shape)) * 3e-8 / np.sqrt(2)
     ports = [tuple(Port(f"{kind}{dof}", f"{kind}{dof}", dof) for dof in "xy") for kind in "xf"]
     response = FrequencyResponse(
-        f, h + noise[0] + 1j * noise[1], *ports, covariance=uncorrelated(np.full(h.shape, 9e-16))
+        f, h + noise[0] + 1j * noise[1], *ports, covariance=diagonal_covariance(np.full(h.shape, 9e-16))
     )
     return frozenset(
         "reciprocity" for finding in reciprocity_findings(response) if "beyond the noise" in finding.message
@@ -250,7 +254,11 @@ def cross_coupled(seed: int, skew: float) -> frozenset[str]:
     outputs = (Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2))
     forces = (Port("fx", "fx", "x", 0.0), Port("fy", "fy", "y", np.pi / 2))
     response = FrequencyResponse(
-        f, h + noise[0] + 1j * noise[1], outputs, forces, covariance=uncorrelated(np.full(h.shape, 9e-16))
+        f,
+        h + noise[0] + 1j * noise[1],
+        outputs,
+        forces,
+        covariance=diagonal_covariance(np.full(h.shape, 9e-16)),
     )
     return codes(response, FitSettings("rotor-2dof-direct", mass=0.92, compare=True))
 
@@ -282,7 +290,7 @@ def without_minimum(seed: int, noise: float) -> frozenset[str]:
     h = (1 / (180e3 + 190j * w - 0.92 * w**2))[:, None, None]
     std = noise * np.abs(h).max()
     drawn = np.random.default_rng(seed).normal(size=(2, *h.shape)) * std / np.sqrt(2)
-    covariance = uncorrelated(np.full(h.shape, std**2))
+    covariance = diagonal_covariance(np.full(h.shape, std**2))
     response = FrequencyResponse(
         f, h + drawn[0] + 1j * drawn[1], (Port("x", "x", "x"),), (Port("f", "f", "x"),), covariance=covariance
     )

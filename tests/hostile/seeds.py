@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.io import savemat, wavfile
 
-from labpipe.artefacts.dataset_file import Part, read_part
+from labpipe.artefacts.dataset_file import DatasetPart, read_part
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.identification_file import read_fits, read_identification
 from labpipe.artefacts.measured_files import read_decays, read_spectra, write_decays
@@ -131,7 +131,7 @@ ARTEFACTS: dict[str, Read] = {
     "a.frf.parquet": response_content,
     "a.decay.parquet": whole(read_decays),
     "a.spectra.parquet": whole(read_spectra),
-    "a.results.parquet": whole(lambda path: read_part(Part(path, "", ""))),
+    "a.results.parquet": whole(lambda path: read_part(DatasetPart(path, "", ""))),
     "identification.json": whole(read_identification),
     "fits.json": whole(read_fits),
     "plan.json": whole(read_plan),

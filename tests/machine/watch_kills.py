@@ -20,7 +20,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from labpipe.artefacts.dataset_file import read_rows
-from labpipe.artefacts.mirrored import everything, results_read
+from labpipe.artefacts.mirrored import everything, read_results
 from labpipe.artefacts.writing import is_remote, path_of
 from tests.machine.s3_server import s3_client, s3_server
 from tests.project.laboratory import PIPELINE, RIG, recording
@@ -66,7 +66,7 @@ def arrive(folder: Path, number: int) -> None:
 
 def rows_in(folder: Path) -> list[dict[str, object]]:
     """The rows of the dataset by test, fit and parameter."""
-    with results_read(path_of(place(folder, "out")), everything) as here:
+    with read_results(path_of(place(folder, "out")), everything) as here:
         rows = read_rows(here).to_pylist()
     return sorted(rows, key=lambda row: (row["test"], str(row["fit"]), str(row["parameter"])))
 
@@ -104,7 +104,7 @@ def kills(count: int, seed: int) -> list[str]:
                 faults.append(f"trial {trial}: {len(found)} rows for {len(expected)}, or other numbers")
             if left := [path.name for path in (folder / "out").rglob(".labpipe-*") if path.is_dir()]:
                 faults.append(f"trial {trial}: left behind: {left}")
-            with results_read(path_of(place(folder, "out")), everything) as here:
+            with read_results(path_of(place(folder, "out")), everything) as here:
                 aside = len(list((here / "quarantine").glob("*.csv.reason.txt")))
             if aside != RECORDINGS // 4:
                 faults.append(f"trial {trial}: {aside} recordings in quarantine")

@@ -17,7 +17,7 @@ from labpipe.methods.floating_bearing.virtual_rig import FloatingNoise, Floating
 from labpipe.project.ingest import ingest
 from labpipe.project.rig_file import load_rig
 from labpipe.project.simulate import load_virtual_rig
-from labpipe.records.recording import Channel, Number, Recording, Term
+from labpipe.records.recording import Channel, Number, Recording, SumTerm
 from labpipe.records.rig import Rig
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.measurement import measure
@@ -39,7 +39,7 @@ def rig(folder: Path, *entries: str) -> Rig:
     return load_rig(folder / "rig.yaml")
 
 
-def terms(folder: Path, quantity: str, text: str) -> dict[str, Term]:
+def terms(folder: Path, quantity: str, text: str) -> dict[str, SumTerm]:
     (derived,) = rig(folder, f"s: {{quantity: {quantity}, derived: '{text}', dof: x}}").derived
     return {term.channel: term for term in derived.terms}
 
@@ -201,7 +201,7 @@ def test_sums_stand_in_the_recording_and_follow_the_rig_file(tmp_path: Path) -> 
             f, a, x1, x2, e, d = recording.samples.T
         np.testing.assert_allclose(e, f - mass * a)
         np.testing.assert_allclose(d, x1 - x2)
-        assert recording.channels[4].terms[1] == Term(
+        assert recording.channels[4].terms[1] == SumTerm(
             "a", -mass, *(((loaded.derived[0].terms[1].numbers), (-1.0,)) if mass == 30 else ())
         )
 
@@ -235,7 +235,7 @@ def seal_recordings(**changes: object) -> list[Recording]:
                 "force",
                 "input",
                 axis,
-                terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
+                terms=(SumTerm(f"f_{axis}", 1.0), SumTerm(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
             )
             for axis in "xy"
         ]

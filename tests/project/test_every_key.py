@@ -19,7 +19,7 @@ import yaml
 from labpipe.errors import LabpipeError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings
+from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings
 from labpipe.methods.magnetic_bearing.settings import MagnetSettings
 from labpipe.methods.ring_down.fit import DecaySettings
 from labpipe.methods.rotor.rotor_file import RotorSettings
@@ -50,7 +50,7 @@ DECLARED: dict[tuple[str, tuple[str, ...]], type] = {
     ("pipeline.yaml", ("identify", "*", "decay")): DecaySettings,
     ("pipeline.yaml", ("identify", "*", "dynamic_stiffness")): DynamicStiffnessSettings,
     ("pipeline.yaml", ("identify", "*", "magnet")): MagnetSettings,
-    ("pipeline.yaml", ("compare", "*", "certificate")): CertificateSettings,
+    ("pipeline.yaml", ("compare", "*", "certificate")): LoopCertificateSettings,
     **{("pipeline.yaml", (name,)): entry.settings for name, entry in sections() if not entry.named},
     **{
         ("pipeline.yaml", (name, "*")): entry.settings
@@ -464,7 +464,7 @@ def test_a_changed_key_of_a_levitated_rotor_reaches_the_result(
 
 def test_every_declared_setting_of_a_levitated_rotor_is_changed() -> None:
     seen = {keys[-1] for _, keys, value in LEVITATED_CHANGES if value is not None}
-    for owner in (MagnetSettings, CertificateSettings):
+    for owner in (MagnetSettings, LoopCertificateSettings):
         assert {
             key for key, (setting, _) in settings_of(owner).items() if other_value(setting, None) is not None
         } <= seen

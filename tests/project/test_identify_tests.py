@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.raw_files.frf_csv import write_frf_csv
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 PIPELINE = """tests:
   - {name: soft, frfs: soft.csv}
@@ -30,7 +30,7 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
         ports = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
         write_frf_csv(
             tmp_path / f"{name}.csv",
-            FrequencyResponse(lines, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))),
+            FrequencyResponse(lines, h, *ports, covariance=diagonal_covariance(np.full(h.shape, 1e-18))),
         )
     (tmp_path / "p.yaml").write_text(PIPELINE)
     return tmp_path

@@ -15,7 +15,7 @@ from labpipe.artefacts.identification_file import read_identification, write_ide
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import widen
 from labpipe.project.catalogue import INDEX, Filter, open_index, results, values
-from labpipe.project.run_record import RECORD, begin, recorded, runs_of
+from labpipe.project.run_record import RECORD, begin, record_run, runs_of
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
 
@@ -199,7 +199,7 @@ def test_the_day_of_a_run_goes_before_that_of_a_copied_file(tmp_path: Path, labp
     begin(tmp_path)
     for name in ("a", "b"):
         store(tmp_path / name, 1.0, settings={})
-    with recorded(tmp_path / "a", Path("p.yaml")) as made:
+    with record_run(tmp_path / "a", Path("p.yaml")) as made:
         made.append(read_identification(tmp_path / "a/identification.json"))
     for name in ("a", "b"):
         os.utime(tmp_path / name / "identification.json", (1709208000, 1709208000))

@@ -21,7 +21,7 @@ from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.run import Manner, run
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.identification import RuleOutcome
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 LINES = np.arange(20.0, 121.0)
 SOFT, STIFF, DAMPING = 1e5, 4e5, 20.0
@@ -55,7 +55,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ports = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
         write_frf_csv(
             folder / f"{name}.csv",
-            FrequencyResponse(LINES, h, *ports, covariance=uncorrelated(np.full(h.shape, 1e-18))),
+            FrequencyResponse(LINES, h, *ports, covariance=diagonal_covariance(np.full(h.shape, 1e-18))),
         )
     return folder
 

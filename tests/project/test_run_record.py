@@ -20,7 +20,7 @@ from labpipe.project.run_record import (
     faults_of_record,
     head,
     record_of_runs,
-    recorded,
+    record_run,
     runs_of,
 )
 from labpipe.records.identification import Identification, RuleOutcome
@@ -38,7 +38,7 @@ RESULT = Identification(
 def made(folder: Path, result: Identification = RESULT) -> None:
     """A run with that result."""
     folder.mkdir(exist_ok=True)
-    with recorded(folder, Path("p.yaml")) as results:
+    with record_run(folder, Path("p.yaml")) as results:
         write_identification(folder / NAME, result)
         results.append(result)
 
@@ -69,7 +69,7 @@ def test_a_run_is_recorded_with_its_inputs_and_outcome(record: Path) -> None:
 
 
 def test_a_run_that_fails_is_recorded_as_such(record: Path) -> None:
-    with pytest.raises(DataError), recorded(record.parent / "a", Path("p.yaml")):
+    with pytest.raises(DataError), record_run(record.parent / "a", Path("p.yaml")):
         raise DataError("the recording ends too early", where="raw.csv")
     assert runs_of(record)[-1].outcome == "failed: raw.csv: the recording ends too early"
     assert faults_of_record(record) == []

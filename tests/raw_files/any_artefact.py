@@ -15,7 +15,7 @@ from labpipe.artefacts.recording_file import RecordingWriter, recording_contents
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness, Identification
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays
 
 
@@ -38,7 +38,7 @@ def response(seed: int) -> FrequencyResponse:
         outputs=tuple(Port(name, name, name) for name in outputs),
         inputs=tuple(Port(name, name, name) for name in inputs),
         form=("receptance", "mobility", "accelerance")[int(rng.integers(3))],
-        covariance=uncorrelated(np.abs(spread(rng, *shape))) if rng.random() < 0.7 else None,
+        covariance=diagonal_covariance(np.abs(spread(rng, *shape))) if rng.random() < 0.7 else None,
         coherence=rng.uniform(0, 1, shape) if rng.random() < 0.7 else None,
         name="h",
     )

@@ -20,7 +20,7 @@ from labpipe.display import (
     significant,
     two_digits,
     with_error,
-    written,
+    write_values,
 )
 from labpipe.quantities import parse_unit
 
@@ -54,7 +54,7 @@ ROUNDING = 1e-9
 def test_the_value_ends_where_the_second_digit_of_its_uncertainty_stands(
     value: float, error: float, texts: tuple[str, str]
 ) -> None:
-    assert written(value, error) == texts
+    assert write_values(value, error) == texts
 
 
 def test_no_chance_is_zero() -> None:
@@ -63,23 +63,23 @@ def test_no_chance_is_zero() -> None:
 
 
 def test_without_an_uncertainty_six_digits_stand() -> None:
-    assert written(134498.1234, None) == ("134498", "")
-    assert written(134498.1234, 0.0) == ("134498", "0")
-    assert written(0.0, None, 1.23456789) == ("0", "", "1.23457")
-    assert written(2.0, math.inf, -math.inf) == ("2", NOT_DETERMINED, NOT_DETERMINED)
+    assert write_values(134498.1234, None) == ("134498", "")
+    assert write_values(134498.1234, 0.0) == ("134498", "0")
+    assert write_values(0.0, None, 1.23456789) == ("0", "", "1.23457")
+    assert write_values(2.0, math.inf, -math.inf) == ("2", NOT_DETERMINED, NOT_DETERMINED)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_is_not_determined(value: float) -> None:
-    assert written(value, None)[0] == written(value, 0.5)[0] == number(value) == NOT_DETERMINED
-    assert written(value, 0.5)[1] == "0.50" and written(1.0, math.nan) == ("1", NOT_DETERMINED)
+    assert write_values(value, None)[0] == write_values(value, 0.5)[0] == number(value) == NOT_DETERMINED
+    assert write_values(value, 0.5)[1] == "0.50" and write_values(1.0, math.nan) == ("1", NOT_DETERMINED)
 
 
 @given(value=SIGNED, error=SIZES)
 def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_the_last_place(
     value: float, error: float
 ) -> None:
-    shown, uncertainty = written(value, error)
+    shown, uncertainty = write_values(value, error)
     place = 10.0 ** (int(f"{error:.1e}".partition("e")[2]) - 1)
     assert float(uncertainty) == pytest.approx(float(f"{error:.1e}"), rel=ROUNDING)
     assert abs(float(uncertainty) - error) <= place * (0.5 + ROUNDING)
@@ -90,14 +90,14 @@ def test_the_uncertainty_has_two_digits_and_the_value_is_within_half_a_unit_of_t
 @given(value=SIGNED, error=SIZES)
 def test_value_and_uncertainty_end_at_one_place_and_share_a_power(value: float, error: float) -> None:
     assume(abs(value) < 1e10 * error)  # Beyond twelve digits the uncertainty has a power of its own.
-    shown, uncertainty = written(value, error)
+    shown, uncertainty = write_values(value, error)
     (mantissa, _, power), (small, _, other) = shown.partition("e"), uncertainty.partition("e")
     assert power == other and len(mantissa.partition(".")[2]) == len(small.partition(".")[2])
 
 
 @given(low=SIGNED, value=SIGNED, error=SIZES)
 def test_ends_of_an_interval_stand_at_the_place_of_the_value(low: float, value: float, error: float) -> None:
-    shown, _, end = written(value, error, low)
+    shown, _, end = write_values(value, error, low)
     assert (
         end.partition("e")[2] == shown.partition("e")[2] or "e" not in shown + end or number(low, 12) == end
     )

@@ -25,7 +25,7 @@ from labpipe.project.judging import judge
 from labpipe.project.rules import Rule
 from labpipe.records.finding import NOTE, WARNING, Finding, note, of_level
 from labpipe.records.identification import Identification
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 MASKED = note("masked", "lines of the shaft speed are left out: 49.6-50.4 Hz")
 CLIPPED = Finding("clipped", "channel y clips at 3 samples")
@@ -42,7 +42,7 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
         frequency,
         clean + noise,
         *ports,
-        covariance=uncorrelated(np.full(clean.shape, 1e-14)),
+        covariance=diagonal_covariance(np.full(clean.shape, 1e-14)),
         findings=(MASKED,),
     )
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from labpipe.errors import DataError
 from labpipe.quantities import parse_unit
-from labpipe.records.response import FORMS, FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FORMS, FrequencyResponse, Port, diagonal_covariance
 
 X, Y = Port("x", "x1", "x", 0.0), Port("y", "y1", "y", math.pi / 2)
 F, G = Port("f", "f", "45 deg", math.pi / 4), Port("g", "hammer", "bearing2.y")
@@ -164,7 +164,7 @@ def test_elements_without_correlation_have_their_variance_back(
     n_output: int, n_input: int, n_frequency: int, seed: int
 ) -> None:
     variance = np.random.default_rng(seed).uniform(size=(n_frequency, n_output, n_input))
-    covariance = uncorrelated(variance)
+    covariance = diagonal_covariance(variance)
     n = n_output * n_input
     assert covariance.shape == (n_frequency, n, n)
     np.testing.assert_array_equal(covariance * (1 - np.eye(n)), 0)

@@ -11,13 +11,13 @@ from hypothesis import given, settings, strategies as st
 
 from labpipe.methods.rotor.section import UnbalanceCase, UnbalanceRuns
 from labpipe.methods.run_ups.records import (
-    Amount,
     MeasuredRun,
     MetamodelResult,
     RunPrediction,
     RunUpMethod,
     RunUpResult,
     Surface,
+    UncertainAmount,
 )
 from labpipe.records.comparison import ComparedBand, Comparison, StudiedParameter
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, note, of_level
@@ -170,23 +170,23 @@ def test_an_interval_holds_its_ends(other: float, holds: bool) -> None:
 @settings(derandomize=True, max_examples=40)
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e3))
 def test_an_interval_of_two_sided_95_per_cent(value: float, error: float) -> None:
-    low, high = Amount(value, error).ci95
+    low, high = UncertainAmount(value, error).ci95
     assert (low + high) / 2 == pytest.approx(value, abs=1e-6 * error + 1e-9 * abs(value))
     assert (high - low) / 2 == pytest.approx(1.959964 * error, rel=1e-6, abs=1e-9 * abs(value))
 
 
 def test_the_half_width_is_the_normal_quantile() -> None:
     """P(|z| < 1.959964) = erf(1.959964 / sqrt 2) = 0.95."""
-    _, high = Amount(0.0, 1.0).ci95
+    _, high = UncertainAmount(0.0, 1.0).ci95
     assert math.erf(high / math.sqrt(2)) == pytest.approx(0.95, abs=1e-7)
 
 
 def test_an_amount_without_error_has_no_interval() -> None:
-    assert Amount(3.0).ci95 is None
+    assert UncertainAmount(3.0).ci95 is None
 
 
 RUN = MeasuredRun("5 N", 5.0, "trained", excitation="unbalance", speed=(60.0,), motions=())
-PREDICTION = RunPrediction("5 N", Amount(300.0), None)
+PREDICTION = RunPrediction("5 N", UncertainAmount(300.0), None)
 METHOD = RunUpMethod("joint", "Joint fit", "determined", predictions=(PREDICTION,))
 METAMODEL = MetamodelResult("gp", "Gaussian process", Surface((), (), ()), (), (PREDICTION,))
 RUN_UPS = RunUpResult("rotor", "disc", "journal", runs=(RUN,), methods=(METHOD,), metamodels=(METAMODEL,))

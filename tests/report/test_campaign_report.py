@@ -112,7 +112,7 @@ def test_tests_of_one_day_stand_in_the_order_of_their_hours_and_limits_have_thei
     hours = {10000.0: "2026-03-01 15:00", 10002.0: "2026-03-01 09:00", 10001.0: "2026-03-01 12:00"}
     results = [(f"r{k:.0f}", one_result(k, "400 N", when)) for k, when in hours.items()]
     (one,) = coefficient_series(results)
-    assert one.shown().tolist() == [10.002, 10.001, 10.0] and "date" not in one.over()
+    assert one.show().tolist() == [10.002, 10.001, 10.0] and "date" not in one.over()
     assert "centre 10.00100, limits 9.99834 to 10.00366 kN/m" in told(results)
 
 

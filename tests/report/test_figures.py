@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, FittedCurve, Goodness, Identification
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.report.chart import Drawing, Panel, Series
 from labpipe.report.document import Table
 from labpipe.report.figures import (
@@ -143,7 +143,7 @@ def test_a_response_is_shown_with_the_best_statement_of_its_quality() -> None:
         named(periodic.graphic.panels[1])["y"].y.tolist() == [1e-3] * 3
         and "signal-to-noise" in periodic.caption
     )
-    covered = response_figure(replace(RESPONSE, covariance=uncorrelated(np.full(MATRIX.shape, 1e-14))))
+    covered = response_figure(replace(RESPONSE, covariance=diagonal_covariance(np.full(MATRIX.shape, 1e-14))))
     np.testing.assert_allclose(covered.graphic.panels[1].series[0].y, [0.1, 0.05, 0.025])
     plain = response_figure(RESPONSE)
     assert len(plain.graphic.panels) == 1 and "its uncertainty is not known" in plain.caption

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.records.comparison import ComparedBand, Comparison, QuantityCurve
 from labpipe.records.finding import Parameter
 from labpipe.report import loop_figures
 from labpipe.report.chart import Chart, Panel
@@ -44,10 +44,10 @@ def test_the_circle_is_where_a_loop_is_as_sensitive_as_zone_a_allows() -> None:
     loop = np.array([-0.5 + 0.5j, -1.0 + 0.25j, -2.0 - 1.0j])
     size = 1 / np.abs(1 + loop)
     parts = (
-        Curve("a", "|S| x", "1", frequency=LINES, measured=tuple(size), low=tuple(0.9 * size),
+        QuantityCurve("a", "|S| x", "1", frequency=LINES, measured=tuple(size), low=tuple(0.9 * size),
               high=tuple(1.1 * size), matched=tuple(1.01 * size)),
-        Curve("a", "L x real", "1", frequency=LINES, measured=tuple(loop.real)),
-        Curve("a", "L x imaginary", "1", frequency=LINES, measured=tuple(loop.imag)),
+        QuantityCurve("a", "L x real", "1", frequency=LINES, measured=tuple(loop.real)),
+        QuantityCurve("a", "L x imaginary", "1", frequency=LINES, measured=tuple(loop.imag)),
     )  # fmt: skip
     sizes, nyquist = loop_figures.certificate_figures(comparison(curves=parts))
     (plane,) = panels(nyquist)
@@ -72,7 +72,9 @@ def test_bands_stand_beside_their_prediction_in_the_units_of_people() -> None:
     bands = tuple(
         band(low, test, value, 0.5) for test, value in (("a", 2100.0), ("b", 2200.0)) for low in (0.0, 20.0)
     )
-    loop = Curve("a", "k", "N/m", frequency=LINES, theory=(1000.0, 2000.0, 3000.0), matched=(1e3, 2e3, 4e3))
+    loop = QuantityCurve(
+        "a", "k", "N/m", frequency=LINES, theory=(1000.0, 2000.0, 3000.0), matched=(1e3, 2e3, 4e3)
+    )
     (figure,) = loop_figures.prediction_figures(comparison(bands=bands, curves=(loop,)))
     coefficient, ratio = panels(figure)
     assert coefficient.y.label == "k [kN/m]" and "fitted unknowns" in figure.caption

@@ -24,10 +24,10 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings, Sliding
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Identification, RuleOutcome
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.report.document import Document, Paragraph, Section, Table
 from labpipe.report.figures import response_figure
-from labpipe.report.wording import parameter_row, rounded, significance
+from labpipe.report.wording import parameter_row, round_to_error, significance
 
 HOSTILE = '<script>alert("x")</script> $y_1$ | *bold*'
 
@@ -43,7 +43,7 @@ def result(name: str = "pedestal", sliding: Sliding | None = None) -> Identifica
         clean + noise,
         (Port(name, name, "y"),),
         (Port("f", "f", "y"),),
-        covariance=uncorrelated(np.full(clean.shape, 1e-14)),
+        covariance=diagonal_covariance(np.full(clean.shape, 1e-14)),
         name="run 1",
     )
     fits = identify(response, FitSettings("sdof", mass=0.79, name=name, sliding=sliding))
@@ -174,7 +174,7 @@ def test_same_result_same_bytes() -> None:
 def test_values_are_rounded_to_what_their_error_supports(
     value: float, error: float | None, text: str
 ) -> None:
-    assert rounded(value, error) == text
+    assert round_to_error(value, error) == text
 
 
 def test_stars_follow_the_t_distribution() -> None:

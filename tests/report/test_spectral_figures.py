@@ -16,7 +16,7 @@ from labpipe.artefacts.identification_file import read_identification, write_ide
 from labpipe.document.render import html_report
 from labpipe.records.identification import Identification
 from labpipe.records.recording import Channel
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.report import figures
 from labpipe.report.document import Figure, Paragraph, Table
@@ -41,7 +41,7 @@ def response(stiffness: np.ndarray = K) -> FrequencyResponse:
     h = np.linalg.inv(stiffness + 1j * w * C - w**2 * MASS * np.eye(2))
     ports = Port("x", "x", "x", 0.0), Port("y", "y", "y", np.pi / 2)
     return FrequencyResponse(
-        FREQUENCY, h, ports, ports, covariance=uncorrelated(np.full(h.shape, 1e-16)), name="run 1"
+        FREQUENCY, h, ports, ports, covariance=diagonal_covariance(np.full(h.shape, 1e-16)), name="run 1"
     )
 
 

@@ -14,7 +14,7 @@ import pytest
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.floating_bearing.virtual_rig import FLOATING_RIG, FloatingRig
 from labpipe.project.simulate import load_virtual_rig
-from labpipe.records.recording import Channel, Number, Recording, Term
+from labpipe.records.recording import Channel, Number, Recording, SumTerm
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.simulate.virtual_rigs import recordings
@@ -151,7 +151,7 @@ def with_sums(recordings: Sequence[Recording], **changes: float) -> list[Recordi
                 "force",
                 "input",
                 axis,
-                terms=(Term(f"f_{axis}", 1.0), Term(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
+                terms=(SumTerm(f"f_{axis}", 1.0), SumTerm(f"a_{axis}", -60.0, (uncertainty,), (-1.0,))),
             )
             for axis in "xy"
         ]
@@ -209,7 +209,7 @@ def test_uncertainties_of_calibrations_change_the_vector_as_they_are_declared(ef
         channels = [
             replace(one, uncertainties=(uncertainty,)) if one.name == "d_x" else one for one in run.channels
         ]
-        twice = Channel("s", "displacement", "output", "s", terms=(Term("d_x", -2.0),))
+        twice = Channel("s", "displacement", "output", "s", terms=(SumTerm("d_x", -2.0),))
         marked.append(
             replace(
                 run, channels=(*channels, twice), samples=np.column_stack([run.samples, run.samples[:, :1]])

@@ -15,7 +15,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.convert import directional, two_sided
+from labpipe.spectra.convert import directional, two_sided_response
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
@@ -76,7 +76,7 @@ def test_backward_is_forward_at_negative_frequency(rng: np.random.Generator) -> 
     negative = np.linalg.inv(a) @ np.linalg.inv(stiffness(ANISOTROPIC, -response.frequency)) @ a
     np.testing.assert_allclose(response.matrix[:, 1, 1], negative[:, 0, 0].conj(), rtol=1e-9)
     np.testing.assert_allclose(response.matrix[:, 1, 0], negative[:, 0, 1].conj(), rtol=1e-9)
-    frequency, forward = two_sided(response)
+    frequency, forward = two_sided_response(response)
     assert frequency[0] == -100.0 and frequency[-1] == 100.0 and np.all(np.diff(frequency) > 0)
     np.testing.assert_allclose(forward[frequency < 0][::-1], negative[:, 0], rtol=1e-9)
     np.testing.assert_array_equal(forward[frequency > 0], response.matrix[:, 0])
@@ -128,7 +128,7 @@ def test_one_direction_is_not_enough(rng: np.random.Generator) -> None:
         measure([run(0, ISOTROPIC, rng)], PERIODIC)
     plain = measure([run(0, ISOTROPIC, rng)], FrfSettings(excitation="periodic", period=1.0, skip=0))
     with pytest.raises(DataError, match="needs forward and backward terms"):
-        two_sided(plain)
+        two_sided_response(plain)
     with pytest.raises(DataError, match="two forces"):
         directional(plain)
 

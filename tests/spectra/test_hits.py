@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.recording import Channel, Recording
-from labpipe.spectra.impact import find_hits, is_double, overloaded
+from labpipe.spectra.impact import find_hits, find_overloaded, is_double
 from labpipe.spectra.settings import ImpactSettings
 from labpipe.spectra.windows import exponential_window, force_window
 
@@ -46,7 +46,7 @@ def test_a_double_hit_ends_and_comes_again(force: list[float], double: bool) -> 
 )
 def test_an_overload_stands_at_the_end_of_the_range(column: list[float], clipped: bool) -> None:
     beside = np.linspace(0, 1, len(column))
-    assert overloaded(np.column_stack([beside, column])).tolist() == [False, clipped]
+    assert find_overloaded(np.column_stack([beside, column])).tolist() == [False, clipped]
 
 
 def test_windows_at_their_corners() -> None:

@@ -11,8 +11,8 @@ from scipy import signal
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.damping import undamped, without_added_damping
-from labpipe.spectra.impact import find_hits, is_double, overloaded
+from labpipe.spectra.damping import remove_window_damping, without_added_damping
+from labpipe.spectra.impact import find_hits, find_overloaded, is_double
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 from labpipe.spectra.windows import exponential_window, force_window
@@ -234,7 +234,7 @@ def test_judgements() -> None:
         push + half_sine(200, [40], [0.05]), 0.1
     )
     flat = np.column_stack([np.clip(push, 0, 0.8), push, np.clip(-push, -0.5, 0.0)])
-    assert overloaded(flat).tolist() == [True, False, True]
+    assert find_overloaded(flat).tolist() == [True, False, True]
 
 
 def test_hits_over_block_borders_are_found_once(rng: np.random.Generator) -> None:
@@ -470,14 +470,16 @@ def test_a_ready_response_loses_the_damping_of_its_window() -> None:
     x = Port("x", "x", "x")
     rate = 2j * np.pi * frequency + 1 / 0.4
     matrix = (1 / ((rate - POLE) * (rate - POLE.conjugate())))[:, None, None]
-    response = undamped(FrequencyResponse(frequency, matrix, (x,), (x,), covariance=np.ones((80, 1, 1))), 0.4)
+    response = remove_window_damping(
+        FrequencyResponse(frequency, matrix, (x,), (x,), covariance=np.ones((80, 1, 1))), 0.4
+    )
     rate = 2j * np.pi * frequency
     np.testing.assert_allclose(
         response.matrix[:, 0, 0], 1 / ((rate - POLE) * (rate - POLE.conjugate())), rtol=1e-5
     )
     assert response.covariance is None
     with pytest.raises(DataError, match="not evenly spaced"):
-        undamped(FrequencyResponse(frequency**1.1, matrix, (x,), (x,)), 0.4)
+        remove_window_damping(FrequencyResponse(frequency**1.1, matrix, (x,), (x,)), 0.4)
 
 
 def test_every_hit_of_a_recording_is_a_repeat(rng: np.random.Generator) -> None:

@@ -40,7 +40,7 @@ def test_angles_make_a_plane_unless_they_are_one() -> None:
     (plane,) = planes_of(ports("45 deg", "135 deg", angles={"45 deg": np.pi / 4, "135 deg": 3 * np.pi / 4}))
     np.testing.assert_allclose(plane.directions, np.array([[1, 1], [-1, 1]]) / np.sqrt(2))
     assert planes_of(ports("0 deg", "180 deg", angles={"0 deg": 0.0, "180 deg": np.pi})) == ()
-    assert (plane.labelled("f"), planes_of(ports("front.x", "front.y"))[0].labelled("f")) == ("f", "front:f")
+    assert (plane.label("f"), planes_of(ports("front.x", "front.y"))[0].label("f")) == ("f", "front:f")
 
 
 def test_whole_motion_and_orbit_of_two_ends() -> None:

@@ -40,7 +40,7 @@ def test_references_are_no_part_of_the_matrix() -> None:
 def test_padding_puts_every_channel_in_its_place() -> None:
     layout = find_layout([run("a", shaker("x"), X, Y), run("b", X, shaker("y"), Y)])
     spectra = np.arange(9.0).reshape(1, 3, 3) + 0j
-    padded = layout.padded(1, spectra, 2)[0]
+    padded = layout.pad(1, spectra, 2)[0]
     # Inputs x (absent) and y, then outputs x and y: columns 1, 0, 2 of the recording.
     assert np.all(padded[0] == 0) and np.all(padded[:, 0] == 0)
     np.testing.assert_array_equal(padded[1:, 1:], spectra[0][np.ix_([1, 0, 2], [1, 0, 2])])

@@ -85,7 +85,7 @@ def test_blocks_read_as_the_whole_covariance(tmp_path: Path, rng: np.random.Gene
     assert isinstance(held, BlockCovariance)
     whole = held.whole()
     index, lines = [5, 3, 2, 0], np.arange(len(whole)) % 2 == 0
-    np.testing.assert_array_equal(held.chosen(lines, index).whole(), whole[lines][:, index][:, :, index])
+    np.testing.assert_array_equal(held.choose(lines, index).whole(), whole[lines][:, index][:, :, index])
     factor = rng.normal(size=(len(whole), 6)) + 1j
     np.testing.assert_allclose(
         held.times(factor).whole(), whole * factor[:, :, None] * factor[:, None].conj(), rtol=1e-12

@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_response, write_response
-from labpipe.records.recording import Channel, Number, Recording, Term
+from labpipe.records.recording import Channel, Number, Recording, SumTerm
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 from labpipe.spectra.convert import convert, directional
@@ -76,10 +76,15 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
         Channel("ay", "acceleration", "reference", "y", uncertainties=uncertainties),
         Channel("x1", "displacement", "reference", "x", uncertainties=(GAIN,)),
         Channel("x2", "displacement", "reference", "x"),
-        Channel("d", "displacement", "output", "x", 0.0, terms=(Term("x1", 1.0), Term("x2", -1.0))),
+        Channel("d", "displacement", "output", "x", 0.0, terms=(SumTerm("x1", 1.0), SumTerm("x2", -1.0))),
         Channel("y", "displacement", "output", "y", np.pi / 2),
         Channel(
-            "ex", "force", "input", "x", 0.0, terms=(Term("fx", 1.0), Term("ax", -mass, (MASS,), (-1.0,)))
+            "ex",
+            "force",
+            "input",
+            "x",
+            0.0,
+            terms=(SumTerm("fx", 1.0), SumTerm("ax", -mass, (MASS,), (-1.0,))),
         ),
         Channel(
             "ey",
@@ -87,7 +92,7 @@ def recording(excitation: str, mass: float = 3.0, gain: float = 1.0, *, reverse:
             "input",
             "y",
             np.pi / 2,
-            terms=(Term("fy", 1.0), Term("ay", -mass, (MASS,), (-1.0,))),
+            terms=(SumTerm("fy", 1.0), SumTerm("ay", -mass, (MASS,), (-1.0,))),
         ),
     )
     return Recording(channels, np.column_stack(columns), RATE, f"run{int(reverse)}")
@@ -160,7 +165,7 @@ class Counted:
 def test_recordings_are_read_a_second_time_only_where_sums_have_uncertainties() -> None:
     uncertain = recordings("random")[0]
     plain = tuple(
-        replace(c, uncertainties=(), terms=tuple(Term(t.channel, t.factor) for t in c.terms))
+        replace(c, uncertainties=(), terms=tuple(SumTerm(t.channel, t.factor) for t in c.terms))
         for c in uncertain.channels
     )
     reads = []

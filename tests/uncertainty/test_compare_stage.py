@@ -21,7 +21,7 @@ from labpipe.methods.rolling_bearing.ratio import theory_of
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.project.schema import pipeline_schema
 from labpipe.raw_files.frf_csv import write_frf_csv
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.report.build import build
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
@@ -41,7 +41,11 @@ def axial_response(stiffness: float, rng) -> FrequencyResponse:
     variance = np.full((w.size, 1, 1), 0.002**2)
     ports = (Port("z", "z", "z"),), (Port("z", "z", "z"),)
     return FrequencyResponse(
-        frequency, (h + noise)[:, None, None], *ports, form="accelerance", covariance=uncorrelated(variance)
+        frequency,
+        (h + noise)[:, None, None],
+        *ports,
+        form="accelerance",
+        covariance=diagonal_covariance(variance),
     )
 
 

@@ -99,7 +99,7 @@ def test_global_risks_against_scipy_and_draws(ratio: float, guard: float) -> Non
     """
     spread, limits = 0.12, Limits(1499.8, 1500.2)
     error = ratio * spread
-    acceptance = limits.narrowed(guard)
+    acceptance = limits.narrow(guard)
     risks = global_risk((1500.0, spread), error, limits, acceptance)
 
     def made(at: float) -> float:

@@ -19,7 +19,7 @@ from labpipe.project.compare import point_theory
 from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.raw_files.frf_csv import write_frf_csv
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.uncertainty.matrix import PointTheory
 from labpipe.uncertainty.settings import MatrixSettings, MatrixTheorySettings
 
@@ -73,7 +73,7 @@ def folder(tmp_path_factory) -> Path:
             )
             name = f"{speed}rpm-{load}kN-{repeat}"
             response = FrequencyResponse(
-                frequency, noisy, *ports, covariance=uncorrelated(np.full(h.shape, std**2)), name=name
+                frequency, noisy, *ports, covariance=diagonal_covariance(np.full(h.shape, std**2)), name=name
             )
             write_frf_csv(folder / f"{name}.csv", response)
             oil = f"oil: {40 + repeat} degC"

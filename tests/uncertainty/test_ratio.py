@@ -122,7 +122,7 @@ def test_a_theory_is_matched_anew_where_the_tests_stand_in_another_order(monkeyp
     conditions = {way: {"preload": "100 N", "way": way} for way in ("up", "down")}
     beta = {"up": 1e-5, "down": 5e-6}
     monkeypatch.setattr(
-        "labpipe.methods.rolling_bearing.ratio._newly_matched",
+        "labpipe.methods.rolling_bearing.ratio._match_anew",
         lambda campaign, *_: ([a_match(1.0, beta=beta[o.fit.test]) for o in campaign.observations], ()),
     )
     evidence = Evidence(fits, (), (), conditions=conditions, theory=object())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.uncertainty.compare import reciprocal
 from labpipe.uncertainty.settings import CompareSettings
 
@@ -30,7 +30,7 @@ def response(rng, skew: float = 0.0, coupled: bool = True, name: str = "t") -> F
     outputs = tuple(Port(dof, dof, dof) for dof in "xyz")
     inputs = tuple(Port(f"f{dof}", f"f{dof}", dof) for dof in "xyz")
     return FrequencyResponse(
-        frequency, h, outputs, inputs, covariance=uncorrelated(np.full(h.shape, NOISE**2)), name=name
+        frequency, h, outputs, inputs, covariance=diagonal_covariance(np.full(h.shape, NOISE**2)), name=name
     )
 
 

@@ -14,8 +14,15 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.rolling_bearing import ratio as ratio_module
 from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, sdof_stiffness, transfer_matrix
-from labpipe.methods.rolling_bearing.ratio import Rig, TheoryAt, log_covariance, match, overlay, solve_ratio
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.methods.rolling_bearing.ratio import (
+    RatioRig,
+    TheoryAt,
+    log_covariance,
+    match,
+    overlay,
+    solve_ratio,
+)
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 from tests.uncertainty.conftest import a_fit
 
@@ -31,7 +38,7 @@ PEAKS = FitSettings(
     peaks=(("x", ((700.0, 1200.0),)), ("z", ((300.0, 600.0),)), ("by", ((45.0, 100.0),))),
     name="peaks",
 )
-BENT, RIGID = Rig(Uncertain(BENDING, 0.01 * BENDING), ARM), Rig(Uncertain(np.inf), ARM)
+BENT, RIGID = RatioRig(Uncertain(BENDING, 0.01 * BENDING), ARM), RatioRig(Uncertain(np.inf), ARM)
 
 
 def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> FrequencyResponse:
@@ -56,7 +63,7 @@ def measured(ratio: float, bending: float, rng=None, noise: float = 0.003) -> Fr
         outputs,
         inputs,
         form="accelerance",
-        covariance=uncorrelated(np.full(h.shape, noise**2)),
+        covariance=diagonal_covariance(np.full(h.shape, noise**2)),
         name="t",
     )
 
@@ -107,7 +114,7 @@ def test_slopes_are_what_a_changed_shaft_and_condition_do() -> None:
     fit = fits_of(response)["x"]
     found = match(fit, response, PEAKS, THEORY, BENT)
     changed = [
-        match(fit, response, PEAKS, THEORY, Rig(Uncertain(BENDING * f), ARM)).log for f in (0.998, 1.002)
+        match(fit, response, PEAKS, THEORY, RatioRig(Uncertain(BENDING * f), ARM)).log for f in (0.998, 1.002)
     ]
     np.testing.assert_allclose(found.to_bending, (changed[1] - changed[0]) / 0.004, rtol=0.02, atol=1e-4)
     assert found.to_bending[0] < -1.5
@@ -136,7 +143,7 @@ def test_what_cannot_be_compared_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
     response = measured(1.12, BENDING)
     fits = fits_of(response)
     with pytest.raises(ConfigError, match="the tilt by is compared without an arm"):
-        match(fits["by"], response, PEAKS, THEORY, Rig(Uncertain(BENDING), None))
+        match(fits["by"], response, PEAKS, THEORY, RatioRig(Uncertain(BENDING), None))
     with pytest.raises(ConfigError, match="not of the model sdof"):
         match(fits["z"], response, FitSettings("mdof", name="peaks"), THEORY, BENT)
     strange = replace(

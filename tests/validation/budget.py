@@ -307,7 +307,7 @@ def decisions() -> list[Claim]:
     ]
     limits = Limits(-2.0, 2.0)
     for ratio, factor, accepted, rejected in ((4, 1.0, 0.8, 1.5), (2, 0.91, 0.8, 6.6)):
-        risks = global_risk((0.0, 1.0), 1 / ratio, limits, limits.narrowed(2 - 2 * factor))
+        risks = global_risk((0.0, 1.0), 1 / ratio, limits, limits.narrow(2 - 2 * factor))
         name = f"{ratio} to 1" + (f", guard band {factor:g}" if factor < 1 else "")
         pairs = (
             ("accepted", risks.false_acceptance, accepted),

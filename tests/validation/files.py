@@ -11,7 +11,7 @@ import numpy as np
 import pyuff
 from scipy.io import wavfile
 
-from labpipe.raw_files.table import Table, open_table
+from labpipe.raw_files.table import RawTable, open_table
 from labpipe.raw_files.uff_read import read_frf_uff
 from tests.validation.claims import Claim, Method, within
 from tests.validation.gaps import gaps
@@ -20,7 +20,7 @@ from tests.validation.shipped import PACKAGE, shipped, variables
 PEER, MEASURED = "peer program", "measured public data"
 
 
-def column(table: Table, name: str) -> np.ndarray:
+def column(table: RawTable, name: str) -> np.ndarray:
     rows = np.concatenate(list(table.chunks(table.columns)))
     return np.asarray(rows[:, table.columns.index(name)])
 

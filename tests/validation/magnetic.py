@@ -104,7 +104,7 @@ def peer_loop(name: str) -> tuple[Any, Suspended]:
     """L(s) = K C(s) e^{-s tau} / (1 + s / w_a) / (m s^2 - k_n) as python-control has it, the delay by its own
     Pade approximation.
     """
-    plant = open_bearing(CONFIGS / f"{name}.yaml").settings().levitated()
+    plant = open_bearing(CONFIGS / f"{name}.yaml").settings().suspension()
     loop, s = plant.loop, control.tf("s")
     if name == "levitated":
         # Written out from the file: 5000 + 20000 / s + 12 s / (1 + 0.2 ms s).
@@ -184,7 +184,7 @@ def poles(title: str, plant: Suspended, peer: Any) -> Claim:
 
 def measured_stiffness() -> list[Claim]:
     """Lim and others, figure 33: the radial stiffness of the hybrid bearing at 2 Hz."""
-    plant = open_bearing(CONFIGS / "hmb-magnetic.yaml").settings().levitated()
+    plant = open_bearing(CONFIGS / "hmb-magnetic.yaml").settings().suspension()
     k = dynamic_stiffness(plant.loop, plant.negative_stiffness, np.array([4 * np.pi]))[0].real
     why = (
         "the bearing file subtracts the lag, as the sign of the measured damping asks; the stiffness then "

@@ -12,7 +12,7 @@ from scipy import integrate
 
 from labpipe.methods.rolling_bearing.equilibrium import Equilibrium, equilibrium
 from labpipe.methods.rolling_bearing.loads import RigidShaft, RollingBearing, modes, sdof_stiffness
-from labpipe.methods.rolling_bearing.settings import BallGeometry, Material, point_contact
+from labpipe.methods.rolling_bearing.settings import BallGeometry, ContactMaterial, point_contact
 from tests.methods.rolling_bearing.displaced_rings import load_vector
 from tests.validation.claims import Claim, Method, within, worst
 from tests.validation.gaps import gaps
@@ -386,7 +386,7 @@ def hertz_ellipse(k: float) -> Claim:
         return integrate.quad(inner, 0, np.inf, epsabs=0, epsrel=1e-11)[0]
 
     approach, along, across = k / 2 * integral(0, 0), k * integral(1, 0), k * integral(0, 1)
-    unit = Material(2 * (1 - 0.3**2), 0.3)
+    unit = ContactMaterial(2 * (1 - 0.3**2), 0.3)
     expected = 2 / 3 * math.pi * k / approach**1.5
     value = point_contact(along, across, unit, unit)
     source = "Johnson 1985, by quadrature"

@@ -12,18 +12,18 @@ import numpy as np
 from scipy.optimize import brentq
 
 from labpipe.methods.balancing.balance_file import permissible_unbalance
-from labpipe.methods.balancing.influence import Influence, Noise, Run, best_weights, influence
+from labpipe.methods.balancing.influence import BalanceRun, Influence, ReadingNoise, best_weights, influence
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.rotor.response import Modes, modes, onset_speed, unbalance_response
+from labpipe.methods.rotor.response import WhirlModes, modes, onset_speed, unbalance_response
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.shaft import (
     STEEL,
     Disc,
     Material,
+    NodeSupport,
     Rotor,
     ShaftElement,
-    Support,
     bearing_loads,
     free_rotor,
     supported_rotor,
@@ -67,7 +67,7 @@ def simply_supported(length: float, diameter: float, mode: int, spin: float) -> 
 
 def beams() -> list[Claim]:
     """48 elements: shear and rotary inertia lower mode 3 by 9 %, an error of the mesh of 3e-4 is accepted."""
-    found, supports = [], [Support(node, RIGID, NO_DAMPING) for node in (1, 49)]
+    found, supports = [], [NodeSupport(node, RIGID, NO_DAMPING) for node in (1, 49)]
     for spin in (0.0, 3000.0):
         ours = modes(beam(1.0, 0.1, 48), supports, spin).eigenvalues.imag / (2 * np.pi)
         for mode in (1, 2, 3):
@@ -87,7 +87,7 @@ def beams() -> list[Claim]:
 def free_beam() -> list[Claim]:
     """f = x^2 / (2 pi l^2) sqrt(E I / rho A) with cos x cosh x = 1 (Blevins); d / l = 1/200."""
     e = ShaftElement(2.0, 0.01)
-    weak = [Support(node, 1e-3 * np.eye(2), NO_DAMPING) for node in (1, 13)]
+    weak = [NodeSupport(node, 1e-3 * np.eye(2), NO_DAMPING) for node in (1, 13)]
     ours = modes(beam(2.0, 0.01, 12), weak, 0.0).eigenvalues.imag / (2 * np.pi)
     elastic = ours[ours > 0.3]
     found = []
@@ -156,7 +156,7 @@ def overhung_disc() -> list[Claim]:
     light = ShaftElement(
         length, 0.015, material=type(STEEL)(1e-3, STEEL.elastic_modulus, STEEL.shear_modulus)
     )
-    clamped = [Support(1, RIGID, NO_DAMPING), Support(2, RIGID, NO_DAMPING)]
+    clamped = [NodeSupport(1, RIGID, NO_DAMPING), NodeSupport(2, RIGID, NO_DAMPING)]
     rotor = Rotor(
         (ShaftElement(0.02, 0.5, material=light.material), light), (Disc(3, mass, transverse, polar),)
     )
@@ -191,9 +191,11 @@ def two_discs() -> Rotor:
     return Rotor((piece,) * int(given.SHAFT["number"]), discs)
 
 
-def held(name: str) -> list[Support]:
+def held(name: str) -> list[NodeSupport]:
     k_y, k_z, c = given.SUPPORTS[name]
-    return [Support(node, np.diag([k_y, k_z]), c * np.eye(2)) for node in (1, int(given.SHAFT["number"]) + 1)]
+    return [
+        NodeSupport(node, np.diag([k_y, k_z]), c * np.eye(2)) for node in (1, int(given.SHAFT["number"]) + 1)
+    ]
 
 
 def of_ross() -> list[Claim]:
@@ -218,7 +220,7 @@ def of_ross() -> list[Claim]:
     return [*found, *unbalance_of_ross()]
 
 
-def decrements(ours: Modes, theirs: list[float], where: str) -> Claim:
+def decrements(ours: WhirlModes, theirs: list[float], where: str) -> Claim:
     ratio = ours.damping_ratio
     values = 2 * np.pi * ratio / np.sqrt(1 - ratio**2)
     each = [
@@ -303,7 +305,7 @@ def onset() -> list[Claim]:
         expected = brentq(lambda speed, of=coefficients: lund_margin(of, speed, mass), 100, 2000)
         ours = onset_speed(
             HEAVY,
-            lambda speed, of=coefficients: [Support(node, *of(speed)) for node in (1, 3)],
+            lambda speed, of=coefficients: [NodeSupport(node, *of(speed)) for node in (1, 3)],
             np.linspace(100, 2000, 12),
         )
         assert ours is not None
@@ -476,8 +478,8 @@ def balancing() -> list[Claim]:
     aft, forward = at(11.1, 35), at(3.7, 135)
     readings = [np.array([at(*reading) for reading in run]) for run in FEESE]
     both = np.array([[0, 0], [aft, 0], [aft, forward]])
-    runs = [Run(str(number), *pair) for number, pair in enumerate(zip(both, readings, strict=True))]
-    known = influence(runs, Noise(1e-9, 0.0))
+    runs = [BalanceRun(str(number), *pair) for number, pair in enumerate(zip(both, readings, strict=True))]
+    known = influence(runs, ReadingNoise(1e-9, 0.0))
     weights = best_weights(known.square)
     found += vector_rows("compressor at 17,500 rpm: aft weight", weights[0], 15.3, 3, "g", 0.1)
     found += vector_rows("compressor at 17,500 rpm: forward weight", weights[1], 6.6, 113, "g", 0.1)
@@ -491,8 +493,11 @@ def balancing() -> list[Claim]:
     found.append(worst(rows, "residual vibration"))
     source = "Kelm, Pavelek, Kelm 2016"
     first, second, trial = (at(*each) for each in FAN)
-    runs = [Run("0", np.zeros(1), np.array([first])), Run("1", np.array([trial]), np.array([second]))]
-    known = influence(runs, Noise(1e-9, 0.0))
+    runs = [
+        BalanceRun("0", np.zeros(1), np.array([first])),
+        BalanceRun("1", np.array([trial]), np.array([second])),
+    ]
+    known = influence(runs, ReadingNoise(1e-9, 0.0))
     found.append(
         within("fan: weight per vibration", 1 / abs(known.mean[0, 1]), 10.4, 0.05, "oz in/mil", kind, source)
     )

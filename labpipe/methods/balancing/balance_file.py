@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import ConfigError, SettingError, located
+from labpipe.errors import ConfigError, SettingError, locate_errors
 from labpipe.methods.balancing.influence import (
+    BalanceRun,
     Influence,
-    Noise,
     Places,
-    Residual,
-    Run,
+    ReadingNoise,
+    RemainingVibration,
     best_weights,
     influence,
     next_runs,
@@ -106,8 +106,8 @@ class BalanceFile:
     planes: dict[str, PlaneSettings]
     lines: tuple[str, ...]
     unit: str
-    runs: tuple[Run, ...]
-    noise: Noise
+    runs: tuple[BalanceRun, ...]
+    noise: ReadingNoise
     prior: Influence | None = None
 
 
@@ -164,7 +164,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     floor = _floor(entries["noise"], unit, faults) if settings is not None and settings.noise else 0.0
     faults.raise_any()
     assert settings is not None
-    noise = Noise(floor, settings.repeatability)
+    noise = ReadingNoise(floor, settings.repeatability)
     lines = tuple(dict.fromkeys(line for _, readings in named.values() for line in readings))
     prior = None
     if settings.model:
@@ -176,7 +176,9 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
         raise ConfigError(what, entries["grade"].place, "more sensors or speeds, or no grade")
     missing = complex(np.nan, np.nan)
     runs = tuple(
-        Run(name, np.array([w.get(n, 0j) for n in planes]), np.array([z.get(n, missing) for n in lines]))
+        BalanceRun(
+            name, np.array([w.get(n, 0j) for n in planes]), np.array([z.get(n, missing) for n in lines])
+        )
         for name, (w, z) in named.items()
     )
     _check_noise(path, runs, lines, noise)
@@ -194,7 +196,7 @@ def _floor(node: Marked, unit: str, faults: Faults) -> float:
     return floor
 
 
-def _check_noise(path: Path, runs: Sequence[Run], lines: Sequence[str], noise: Noise) -> None:
+def _check_noise(path: Path, runs: Sequence[BalanceRun], lines: Sequence[str], noise: ReadingNoise) -> None:
     for run in runs:
         for line, variance in zip(lines, noise.variance(run.readings), strict=True):
             if variance == 0:
@@ -275,7 +277,7 @@ class Balanced:
     knowledge: Influence
     weights: ComplexArray
     masses: dict[str, tuple[tuple[float, float], ...]]
-    residual: Residual
+    residual: RemainingVibration
     next_runs: dict[str, float]
 
     @property
@@ -292,11 +294,11 @@ def permissible_unbalance(grade: float, mass: float, speed: float) -> float:
     return grade * mass / (2 * np.pi * speed)
 
 
-def balanced(file: BalanceFile) -> Balanced:
+def balance(file: BalanceFile) -> Balanced:
     """Weights, what they leave, what one more run would change; DataError for runs that do not do."""
-    with located(file.path):
+    with locate_errors(file.path):
         knowledge = influence(file.runs, file.noise, file.prior)
-    weights, masses = _chosen(file, knowledge)
+    weights, masses = _choose_weights(file, knowledge)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
     names = [*(f"a trial weight in plane {name}" for name in file.planes), "the weights themselves"]
@@ -305,7 +307,7 @@ def balanced(file: BalanceFile) -> Balanced:
     return Balanced(file, knowledge, weights, masses, residual_of(knowledge, weights, file.noise), expected)
 
 
-def _chosen(
+def _choose_weights(
     file: BalanceFile, knowledge: Influence
 ) -> tuple[ComplexArray, dict[str, tuple[tuple[float, float], ...]]]:
     planes = file.planes.items()

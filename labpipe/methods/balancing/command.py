@@ -30,9 +30,9 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
     that is left with its interval, and whether one more run would pay.
     """
     from labpipe.artefacts.writing import output_file
-    from labpipe.methods.balancing.balance_file import balance_entry, balanced, load_balance
+    from labpipe.methods.balancing.balance_file import balance, balance_entry, load_balance
 
-    result = balanced(load_balance(balance_path, overrides))
+    result = balance(load_balance(balance_path, overrides))
     for line in sentences(result):
         echo(line)
     if json_path is not None:

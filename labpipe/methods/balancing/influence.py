@@ -29,7 +29,7 @@ REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
 
 
 @dataclass(frozen=True)
-class Run:
+class BalanceRun:
     """One run: added *weights* (n_plane,) [kg m], complex, as all angles in the direction of spin, and
     *readings* (n_line,), complex, NaN where there is none.
     """
@@ -40,7 +40,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Noise:
+class ReadingNoise:
     """Standard uncertainties of a reading when nothing is changed: *floor* [unit of the reading] of each of
     its two parts, *share* [1] of its amplitude of both together.
     """
@@ -91,7 +91,7 @@ class Influence:
         real, imaginary = np.split(normal @ root_of(self.joint).T, 2, axis=1)
         return self.mean + (real + 1j * imaginary).reshape(n, *self.mean.shape)
 
-    def moved(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
+    def move(self, gain: FloatArray, surprise: ComplexArray) -> Influence:
         """With the mean moved by *gain* (n, 2 n_reading) [1, per kg m] times the *surprise* (..., n_reading)
         [unit of the readings].
         """
@@ -115,7 +115,7 @@ class Influence:
         gain = np.linalg.solve(spread, seen @ self.joint).T
         return gain, self.joint - gain @ spread @ gain.T, spread
 
-    def after(self, run: Run, noise: Noise) -> Influence:
+    def after(self, run: BalanceRun, noise: ReadingNoise) -> Influence:
         """What is known after one more run, whose readings are linear in z_0 and alpha."""
         lines = np.flatnonzero(np.isfinite(run.readings))
         readings = run.readings[lines]
@@ -124,11 +124,11 @@ class Influence:
         parts = np.concatenate([surprise.real, surprise.imag])
         misfit = self.misfit + float(parts @ np.linalg.solve(spread, parts))
         narrow = None if self.narrow is None else self.narrow.after(run, noise)
-        moved = self.moved(gain, surprise)
+        moved = self.move(gain, surprise)
         return replace(moved, joint=joint, misfit=misfit, dof=self.dof + parts.size, narrow=narrow)
 
 
-def influence(runs: Sequence[Run], noise: Noise, prior: Influence | None = None) -> Influence:
+def influence(runs: Sequence[BalanceRun], noise: ReadingNoise, prior: Influence | None = None) -> Influence:
     """z_0 and alpha by all runs on a *prior*, or by weighted least squares line by line; DataError where the
     runs do not determine them then.
     """
@@ -176,7 +176,7 @@ def best_weights(square: ComplexArray) -> ComplexArray:
     return -np.linalg.solve(square[..., 1:, 1:], square[..., 1:, :1])[..., 0]
 
 
-def rms_left(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
+def remaining_rms(drawn: ComplexArray, weights: ComplexArray) -> FloatArray:
     """Root mean square over lines (...) [unit of the readings] of drawn z_0 + alpha w, (..., n_line, n_plane
     + 1), with *weights* w (n_plane,) [kg m].
     """
@@ -229,7 +229,7 @@ def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[Float
 
 
 @dataclass(frozen=True)
-class Residual:
+class RemainingVibration:
     """What the weights are expected to leave: *rms* over the lines with its 95 % interval, of what was
     *before*; amplitudes (n_line,) with theirs [unit of the readings]; *unbalance* (n_plane,) [kg m], upper
     ends of 95 %.
@@ -244,7 +244,7 @@ class Residual:
     unbalance: FloatArray
 
 
-def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Residual:
+def residual_of(knowledge: Influence, weights: ComplexArray, noise: ReadingNoise) -> RemainingVibration:
     """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
     drawn = knowledge.draws()
     left = _drawn_residual(knowledge, drawn, np.concatenate([[1.0], weights]))
@@ -263,7 +263,7 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: Noise) -> Re
         below = residual_of(knowledge.narrow, weights, noise)
         first, low = min(first, below.interval[0]), np.minimum(low, below.low)
     rms, amplitudes = float(np.sqrt(np.mean(sizes**2))), np.sqrt(np.mean(sizes**2, axis=0))
-    return Residual(rms, (first, last), before, amplitudes, low, high, upper)
+    return RemainingVibration(rms, (first, last), before, amplitudes, low, high, upper)
 
 
 def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
@@ -318,7 +318,7 @@ def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArr
     return middle - fixed + within + share * fixed + np.sqrt(share) * beyond
 
 
-def _unreached(knowledge: Influence) -> ComplexArray:
+def _unreachable_part(knowledge: Influence) -> ComplexArray:
     """What no weights change (n_line,) [unit of the readings], its square less that of noise, or zero."""
     whole = np.concatenate([[1.0], best_weights(knowledge.square)])
     deviation, n_free = np.sqrt(knowledge.variance_with(whole)), len(knowledge.mean) - whole.size + 1
@@ -330,7 +330,9 @@ def _unreached(knowledge: Influence) -> ComplexArray:
     return left * deviation * np.sqrt(1 - n_free / excess)
 
 
-def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, ComplexArray]) -> dict[str, float]:
+def next_runs(
+    knowledge: Influence, noise: ReadingNoise, candidates: Mapping[str, ComplexArray]
+) -> dict[str, float]:
     """Expected root mean square of what is left as a reading shows it [unit of the readings] if one more run
     with the weights (n_plane,) [kg m] of each candidate came first: over draws of the truth, whose readings
     move the mean and narrow z_0 and alpha (preposterior analysis).
@@ -341,7 +343,7 @@ def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, Compl
     if not knowledge.modelled:
         # Unbalance in the planes, and what they cannot make.
         made = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
-        truths[..., 0] = made + _unreached(knowledge)
+        truths[..., 0] = made + _unreachable_part(knowledge)
     scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
@@ -349,7 +351,7 @@ def next_runs(knowledge: Influence, noise: Noise, candidates: Mapping[str, Compl
         square = np.abs(knowledge.mean @ whole) ** 2 + knowledge.variance_with(whole)
         variance = noise.variance(np.sqrt(square))
         gain, joint, _ = knowledge.gain(weights, variance, np.arange(n_line))
-        means = knowledge.moved(gain, (truths - knowledge.mean) @ whole + np.sqrt(variance) * scatter).mean
+        means = knowledge.move(gain, (truths - knowledge.mean) @ whole + np.sqrt(variance) * scatter).mean
         spread = replace(knowledge, joint=joint).covariance.sum(axis=0).T
         chosen = best_weights(means.conj().swapaxes(-1, -2) @ means + spread)
         left = (truths[..., 1:] @ chosen[..., None])[..., 0] + truths[..., 0]

@@ -13,11 +13,11 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
 from labpipe.distributions import f_tail
-from labpipe.errors import ConfigError, DataError, FitError, SettingError, located
+from labpipe.errors import ConfigError, DataError, FitError, SettingError, locate_errors
 from labpipe.estimation.regression import solve_scaled
-from labpipe.estimation.statistics import condition_number, correlation, estimated
+from labpipe.estimation.statistics import appraise, condition_number, correlation
 from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
-from labpipe.raw_files.table import Table, check_columns, open_table
+from labpipe.raw_files.table import RawTable, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
@@ -120,7 +120,7 @@ def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatA
     names = ("slope", "intercept")[: line.values.size]
     std_errors = np.sqrt(np.diag(line.covariance))
     columns = zip(names, units, line.values.tolist(), std_errors.tolist(), strict=False)
-    parameters = tuple(estimated(*column, line.dof, None) for column in columns)
+    parameters = tuple(appraise(*column, line.dof, None) for column in columns)
     n, p_value = x.size, curvature_p(x, y, line.residual, 3 - line.values.size)
     findings: tuple[Finding, ...] = ()
     if p_value is not None and p_value < CURVATURE_P:
@@ -180,7 +180,7 @@ def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
     """The straight-line fits of all calibrations; LabpipeError names the table."""
     fits: list[Fit] = []
     for settings in calibrations:
-        with located(settings.path):
+        with locate_errors(settings.path):
             fits.extend(_fits_of_table(settings))
     return fits
 
@@ -232,7 +232,7 @@ def _group(settings: CalibrationSettings, x: Column, y: Column, group: Column, s
     return [_with_range(fit, reach, unit) for fit in fits]
 
 
-def _column(table: Table, name: str, values: FloatArray, stated: str = "", power: int = 1) -> Column:
+def _column(table: RawTable, name: str, values: FloatArray, stated: str = "", power: int = 1) -> Column:
     header = table.units.get(name, "")
     try:
         unit = parse_unit(stated or header or "1")

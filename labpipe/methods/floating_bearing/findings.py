@@ -18,7 +18,7 @@ from labpipe.display import per_cent
 from labpipe.estimation.coefficient_error import CoefficientError, Patterns, averaged_error
 from labpipe.estimation.diagnostics import MISMATCH_P, excess_text
 from labpipe.estimation.mismatch import FEWEST_LINES, line_alone
-from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Estimate, Noise, times
+from labpipe.methods.floating_bearing.likelihood import Balance, ErrorsInVariables, Noise, Optimum, times
 from labpipe.methods.floating_bearing.settings import Given
 from labpipe.methods.floating_bearing.stator import Stator, shown_stiffness
 from labpipe.methods.floating_bearing.values import FittedStiffness, Whirl, effective
@@ -94,7 +94,7 @@ def remedy(group: Sequence[str]) -> str:
     )
 
 
-def noise_findings(fit: Estimate, noise: Noise) -> tuple[Finding, ...]:
+def noise_findings(fit: Optimum, noise: Noise) -> tuple[Finding, ...]:
     """Notes where the intervals hold but are wider than the data would allow: scatter that is not noise, few
     periods.
     """
@@ -257,7 +257,7 @@ class BalanceMisfit:
     gains: ComplexArray
     larger: float
 
-    def linearised(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def linearise(self, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Whitened residual (n_line, n_equation) [1] and what takes it away, (n_line, n_equation, n)."""
         residual = (self.white - self.whiten(self.added(at))) / np.sqrt(self.larger)
         return residual.reshape(self.omega.size, -1), self._white(self.slopes(at))
@@ -295,7 +295,7 @@ class BalanceError:
         """Shares of what explains the residual."""
         return None if self.error is None else self.error.discrepancy
 
-    def named(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    def name_reason(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
         """The parameters with the reason for the width of their intervals."""
         if self.error is None:
             return tuple(parameters)
@@ -344,7 +344,7 @@ def _line_alone(misfit: BalanceMisfit, reduced: float) -> float | None:
     """The only line [Hz] without which chi-square, *reduced* per degree of freedom, speaks for the model, by
     one step of the fit to the others.
     """
-    residual, slopes = misfit.linearised(misfit.values)
+    residual, slopes = misfit.linearise(misfit.values)
     squares = np.sum(np.abs(residual) ** 2, axis=1)
     line, n_line = int(np.argmax(squares)), squares.size
     if n_line <= FEWEST_LINES:
@@ -358,7 +358,7 @@ def _line_alone(misfit: BalanceMisfit, reduced: float) -> float | None:
     return float(misfit.omega[line] / (2 * np.pi)) if alone else None
 
 
-def stator_error(best: Estimate, balance: Balance, noise: Noise) -> BalanceError:
+def stator_error(best: Optimum, balance: Balance, noise: Noise) -> BalanceError:
     """The covariance of noise and, where the form is not the course, of what it leaves unexplained."""
     model, omega = best.model, balance.omega
     h, state = model.stiffness(best.values, omega), ErrorsInVariables(balance, model).at(best.values)

@@ -33,9 +33,9 @@ from labpipe.methods.floating_bearing.forms import BANDS, FORMS, Form, Stiffness
 from labpipe.methods.floating_bearing.likelihood import (
     Balance,
     ErrorsInVariables,
-    Estimate,
     GivenErrors,
     Noise,
+    Optimum,
     estimate,
 )
 from labpipe.methods.floating_bearing.settings import (
@@ -45,8 +45,8 @@ from labpipe.methods.floating_bearing.settings import (
     Given,
     SmearedBalance,
     balance_of,
+    changes_by_given,
     contradictions,
-    errors_by_given,
     given_errors,
     given_uncertainties,
     response_of,
@@ -63,8 +63,8 @@ from labpipe.methods.floating_bearing.stator import (
 from labpipe.methods.floating_bearing.values import (
     FittedStiffness,
     Shaft,
+    add_budget,
     balance_fit,
-    budgeted,
     coefficients,
     derived_values,
     dimensionless,
@@ -148,7 +148,7 @@ REAL_PARTS = {"kc": 1, "kcm": 2}
 
 def least_squares(
     balance: Balance, model: StiffnessModel
-) -> tuple[Estimate, Callable[[ComplexArray], FloatArray]]:
+) -> tuple[Optimum, Callable[[ComplexArray], FloatArray]]:
     """The estimate, and how it responds to changes of e (n, n_line, n_run, 2) [N]: (n, n_parameter)
     [parameter units].
 
@@ -174,7 +174,7 @@ def least_squares(
     dof = 2 * n_element * lines.omega.size - values.size
     columns = model.jacobian(values, lines.omega).reshape(values.size, -1)
     design = triangle_of(np.concatenate([columns.real, columns.imag], axis=1).T)
-    estimate = Estimate(model, values, covariance, np.nan, dof, np.nan, True, 0, design)
+    estimate = Optimum(model, values, covariance, np.nan, dof, np.nan, True, 0, design)
 
     def respond(errors: ComplexArray) -> FloatArray:
         moved = errors.swapaxes(-1, -2) @ lines.inverse
@@ -212,9 +212,9 @@ def compare(
     symmetry: str,
     noise: Noise,
     forms: Sequence[str],
-    of_form: Estimate | None = None,
+    of_form: Optimum | None = None,
     uncertain: GivenErrors | None = None,
-) -> tuple[tuple[Candidate, ...], dict[str, Estimate]]:
+) -> tuple[tuple[Candidate, ...], dict[str, Optimum]]:
     """Candidates in ascending BIC, and the estimates by form. Forms that the lines cannot determine are left
     out. Equation (ds-bic).
     """
@@ -234,7 +234,7 @@ def _bic(candidate: Candidate) -> float:
     return candidate.bic
 
 
-def _candidate(form: str, best: Estimate, n_equation: int) -> Candidate:
+def _candidate(form: str, best: Optimum, n_equation: int) -> Candidate:
     n, chi2 = best.values.size, best.squares
     bic = chi2 + n * float(np.log(n_equation))
     return Candidate(form, n, chi2, best.dof, chi2 + 2 * n, bic=bic, chi2_p=best.p_value)
@@ -276,12 +276,12 @@ LS_NOTE = (
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedStiffness:
     """An estimate, what given numbers do to it, its amplification (n_parameter,) [parameter units] of errors,
     compared forms, and findings on given numbers that the data contradict.
     """
 
-    best: Estimate
+    best: Optimum
     uncertainties: tuple[GivenUncertainty, ...]
     amplification: FloatArray | None
     excitations: tuple[OtherExcitation, ...] = ()
@@ -324,8 +324,8 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     others, turning = ((), None) if given.absolute else derived_values(fitted, stator.omega, shaft)
     whole_band = band or (float(stator.omega[0] / (2 * np.pi)), float(stator.omega[-1] / (2 * np.pi)))
     valued = (*main, *others, *dimensionless(main, section, load, speed))
-    parameters, budget = budgeted(valued, solved.uncertainties, best.dof)
-    fit = _report(settings, balance, solved, whole_band, error.named(parameters))
+    parameters, budget = add_budget(valued, solved.uncertainties, best.dof)
+    fit = _report(settings, balance, solved, whole_band, error.name_reason(parameters))
     stiffness = functools.partial(best.model.stiffness, best.values)
     findings = (
         *fit.findings,
@@ -437,20 +437,20 @@ def _statement(given: float | None, spectra: ChannelSpectra, condition: str, uni
 
 def _solved_fit(
     stator: Stator, given: Given, balance: Balance, settings: FitSettings, smeared: SmearedBalance | None
-) -> Solved:
+) -> SolvedStiffness:
     section: DynamicStiffnessSettings = settings.model_settings
     noise = stator.noise
     if not settings.estimates.likelihood:
         model = StiffnessModel(_form(section, balance.omega), section.symmetry)
         best, respond = least_squares(balance, model)
         errors = given_errors(stator, given, best.model.stiffness(best.values, stator.omega), stator.channels)
-        return Solved(best, given_uncertainties(errors, respond), None)
-    uncertain = functools.partial(errors_by_given, stator, given)
+        return SolvedStiffness(best, given_uncertainties(errors, respond), None)
+    uncertain = functools.partial(changes_by_given, stator, given)
     best, candidates = _most_likely(balance, settings, noise, uncertain)
     if smeared is not None:
         measured = balance
         for _ in range(LEAKAGE_ROUNDS):
-            balance = smeared.corrected(measured, functools.partial(best.model.stiffness, best.values))
+            balance = smeared.correct(measured, functools.partial(best.model.stiffness, best.values))
             best, candidates = _most_likely(balance, settings, noise, uncertain)
     problem = ErrorsInVariables(balance, best.model)
     stiffness = best.model.stiffness(best.values, stator.omega)
@@ -462,12 +462,12 @@ def _solved_fit(
         uncertainties, contradicted = contradictions(given, uncertainties, best.pulls)
     amplification = problem.size * np.sqrt(2 * np.diag(best.covariance) / noise.inflation)
     excitations = other_excitations(stator, best, columns)
-    return Solved(best, uncertainties, amplification, excitations, candidates, contradicted)
+    return SolvedStiffness(best, uncertainties, amplification, excitations, candidates, contradicted)
 
 
 def _most_likely(
     balance: Balance, settings: FitSettings, noise: Noise, uncertain: GivenErrors
-) -> tuple[Estimate, tuple[Candidate, ...]]:
+) -> tuple[Optimum, tuple[Candidate, ...]]:
     section: DynamicStiffnessSettings = settings.model_settings
     model = StiffnessModel(_form(section, balance.omega), section.symmetry)
     if not settings.compare:
@@ -492,7 +492,7 @@ def _form(section: DynamicStiffnessSettings, omega: FloatArray) -> Form:
 def _report(
     settings: FitSettings,
     balance: Balance,
-    solved: Solved,
+    solved: SolvedStiffness,
     band: tuple[float, float],
     parameters: tuple[Parameter, ...],
 ) -> Fit:

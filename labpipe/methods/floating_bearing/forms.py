@@ -36,13 +36,13 @@ class ShapeParameter:
     factor: float = 1.0
     logarithmic: bool = True
 
-    def shown(self, inner: float) -> float:
+    def show(self, inner: float) -> float:
         """The value in its unit of the fitted number."""
         return float(np.exp(inner)) / self.factor if self.logarithmic else float(inner)
 
     def slope(self, inner: float) -> float:
         """d shown / d inner."""
-        return self.shown(inner) if self.logarithmic else 1.0
+        return self.show(inner) if self.logarithmic else 1.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _relaxation_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
     return np.stack([zero, zero, s / (1 + s) ** 2])[None]
 
 
-def _reduced(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, float]:
+def _reduced_response(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, ComplexArray, float]:
     """1 / (1 + 2 zeta s / w_0 + s^2 / w_0^2), s / w_0 and 2 zeta of theta = (ln w_0, ln zeta)."""
     s, damping = 1j * omega / np.exp(theta[0]), 2 * np.exp(theta[1])
     return 1 / (1 + damping * s + s**2), s, damping
@@ -89,12 +89,12 @@ def _reduced(theta: FloatArray, omega: FloatArray) -> tuple[ComplexArray, Comple
 
 def _pad(theta: FloatArray, omega: FloatArray) -> ComplexArray:
     s = 1j * omega
-    reduced = _reduced(theta, omega)[0]
+    reduced = _reduced_response(theta, omega)[0]
     return np.stack([np.ones_like(s), s, reduced, s * reduced])
 
 
 def _pad_slopes(theta: FloatArray, omega: FloatArray) -> ComplexArray:
-    reduced, turned, damping = _reduced(theta, omega)
+    reduced, turned, damping = _reduced_response(theta, omega)
     changes = reduced**2 * (damping * turned + 2 * turned**2), -(reduced**2) * damping * turned
     s, zero = 1j * omega, np.zeros_like(omega, np.complex128)
     return np.stack([np.stack([zero, zero, change, s * change]) for change in changes])

@@ -69,7 +69,7 @@ class Whitened:
         first = side[..., 0] / self.l_xx
         return plane_vectors(first, (side[..., 1] - self.l_yx * first) / self.l_yy)
 
-    def weighted(self) -> ComplexArray:
+    def weight(self) -> ComplexArray:
         """S^-1 e (n_line, n_run, 2) [1/N]."""
         second = self.white[..., 1] / self.l_yy
         return plane_vectors((self.white[..., 0] - self.l_yx.conj() * second) / self.l_xx, second)
@@ -102,7 +102,7 @@ def whiten(balance: Balance, stiffness: ComplexArray) -> Whitened:
     l_yy = np.sqrt(s[..., 1, 1].real - np.abs(l_yx) ** 2)
     state = Whitened(balance.right - times(h, balance.motion), balance.motion, l_xx, l_yx, l_yy)
     state = replace(state, white=state.whiten(state.white))
-    return replace(state, smoothed=balance.motion - times(of_motion, state.weighted()))
+    return replace(state, smoothed=balance.motion - times(of_motion, state.weight()))
 
 
 class ErrorsInVariables(SquareSum):
@@ -247,7 +247,7 @@ class BalanceEstimate(Generic[Model]):
 
 
 @dataclass(frozen=True)
-class Estimate(BalanceEstimate[StiffnessModel]):
+class Optimum(BalanceEstimate[StiffnessModel]):
     """The minimum of V of a dynamic stiffness; pulls: what the data say of given numbers."""
 
     pulls: Pulls | None = None
@@ -390,7 +390,7 @@ def check(sides: Sequence[tuple[ComplexArray, ComplexArray]], noise: Noise, othe
 
 def estimate(
     balance: Balance, model: StiffnessModel, noise: Noise, uncertain: GivenErrors | None = None
-) -> Estimate:
+) -> Optimum:
     """The most likely parameters; FitError for fewer equations than parameters, or a singular covariance.
 
     *uncertain* gives the changes of e by given numbers: chi-square then is that with these numbers moved
@@ -416,7 +416,7 @@ def estimate(
     if uncertain is not None:
         changes = state.whiten(uncertain(model, best.values, state))
     minimum, pulls = minimum_of(problem, best, noise, dof, changes)
-    return Estimate(model, *minimum, pulls)
+    return Optimum(model, *minimum, pulls)
 
 
 def minimum_of(

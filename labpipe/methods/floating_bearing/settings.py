@@ -119,7 +119,7 @@ def smoothed_channels(stator: Stator, given: Given, stiffness: ComplexArray, sta
     """
     to_balance = projection(stator, given) @ stator.to_axes
     rows = to_balance[:, :2] - stiffness @ to_balance[:, 2:]
-    pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weighted()[..., None])[..., 0]
+    pulled = (rows.conj().swapaxes(-1, -2)[:, None] @ state.weight()[..., None])[..., 0]
     return stator.channels - (stator.covariance @ pulled[..., None])[..., 0]
 
 
@@ -172,7 +172,7 @@ def join(errors: Sequence[tuple[Uncertainty, ComplexArray]]) -> list[tuple[Uncer
     return list(sources.values())
 
 
-def errors_by_given(
+def changes_by_given(
     stator: Stator, given: Given, model: StiffnessModel, values: FloatArray, state: Whitened
 ) -> ComplexArray:
     """All changes of e [N] by given numbers (n, n_line, n_run, 2), of whatever source, at values
@@ -258,7 +258,7 @@ class SmearedBalance:
         """(H - side * ratio)^-1 (n, 2, 2) [m/N] at omega (n,) [rad/s]; *ratio* (n, 2, 2) [1/s^2] there."""
         return np.linalg.inv(stiffness(omega) - self.given.side(omega) @ ratio)
 
-    def shown(self, stiffness: Stiffness) -> ComplexArray:
+    def smear(self, stiffness: Stiffness) -> ComplexArray:
         """The dynamic stiffness (n_line, 2, 2) [N/m] that the averages over blocks show of H. Equation
         (ds-smeared).
         """
@@ -277,8 +277,8 @@ class SmearedBalance:
         mean_force = np.einsum("p,lpij->lij", weights, forces)
         return mean_force @ np.linalg.inv(np.einsum("p,lp,lpij->lij", weights, seen, moved))
 
-    def corrected(self, balance: Balance, stiffness: Stiffness) -> Balance:
-        leaked = self.shown(stiffness) - stiffness(balance.omega)
+    def correct(self, balance: Balance, stiffness: Stiffness) -> Balance:
+        leaked = self.smear(stiffness) - stiffness(balance.omega)
         return replace(balance, right=balance.right - times(leaked[:, None], balance.motion))
 
     def finding(self, stiffness: Stiffness, modelled: bool) -> tuple[Finding, ...]:

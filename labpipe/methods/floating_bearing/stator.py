@@ -207,7 +207,7 @@ LETTERS = ("k", "c", "m")
 
 
 def other_excitations(
-    stator: Stator, estimate: likelihood.Estimate, columns: FloatArray
+    stator: Stator, estimate: likelihood.Optimum, columns: FloatArray
 ) -> tuple[OtherExcitation, ...]:
     """Ratios of standard errors by noise to those of this test; columns (n_equation, n_parameter)
     [1/parameter unit] of the Jacobian.

@@ -26,7 +26,7 @@ from labpipe.estimation import statistics
 from labpipe.estimation.derived import reported_fit, without_intervals
 from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import derive, estimated, student_limit, widen
+from labpipe.estimation.statistics import appraise, derive, student_limit, widen
 from labpipe.methods.floating_bearing.forms import DAMPING, STIFFNESS, StiffnessModel
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.records.finding import Parameter
@@ -130,7 +130,7 @@ N_FREQUENCY = 4000
 
 
 @dataclass(frozen=True)
-class Course:
+class StiffnessCourse:
     """K_eff [N/m] and C_eff [N.s/m] (n_line,) at omega (n_line,) [rad/s], with standard errors of the same
     shape and unit.
     """
@@ -152,7 +152,7 @@ def forward(stiffness: ComplexArray, sense: float = 1.0) -> ComplexArray:
 
 def effective(
     model: StiffnessModel, values: FloatArray, covariance: FloatArray, omega: FloatArray, sense: float = 1.0
-) -> Course:
+) -> StiffnessCourse:
     """The course at omega (n_line,) [rad/s] of values (n_parameter,) with their covariance (n_parameter,
     n_parameter) [parameter units].
 
@@ -162,7 +162,7 @@ def effective(
     slopes = forward(model.jacobian(values, omega), sense)
     variances = (np.sum(part * (covariance @ part), axis=0) for part in (slopes.real, slopes.imag))
     errors = [np.sqrt(np.maximum(variance, 0.0)) for variance in variances]
-    return Course(omega, h.real, errors[0], h.imag / omega, errors[1] / omega)
+    return StiffnessCourse(omega, h.real, errors[0], h.imag / omega, errors[1] / omega)
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ def plain_values(
     """
     rows = zip(names, units, values, vifs, *(np.sqrt(np.diag(c)) for c in covariances), strict=False)
     parameters = [
-        _wide(estimated(name, unit, float(value), float(noise), dof, float(vif)), float(noise), float(whole))
+        _wide(appraise(name, unit, float(value), float(noise), dof, float(vif)), float(noise), float(whole))
         for name, unit, value, vif, noise, whole in rows
     ]
     return [Valued(shown, row) for shown, row in zip(parameters, np.eye(values.size), strict=False)]
@@ -300,10 +300,10 @@ def _shape(fitted: FittedStiffness, number: int, vif: float) -> Valued:
     declared, place = fitted.model.form.shape[number], fitted.model.n_linear + number
     inner, slope = float(fitted.values[place]), declared.slope(float(fitted.values[place]))
     noise, whole = (float(np.sqrt(matrix[place, place])) for matrix in (fitted.noise, fitted.whole))
-    shape = estimated(declared.name, declared.unit, declared.shown(inner), slope * noise, fitted.dof, vif)
+    shape = appraise(declared.name, declared.unit, declared.show(inner), slope * noise, fitted.dof, vif)
     plain = _wide(shape, noise, whole)
     reach = fitted.limit * whole
-    shown = replace(plain, ci95=_finite(declared.shown(inner - reach), declared.shown(inner + reach)))
+    shown = replace(plain, ci95=_finite(declared.show(inner - reach), declared.show(inner + reach)))
     return Valued(shown, slope * np.eye(fitted.values.size)[place])
 
 
@@ -467,7 +467,7 @@ def _scale(valued: Valued, factor: float) -> Valued:
 UNSEEN = 1e-3
 
 
-def budgeted(
+def add_budget(
     valued: Sequence[Valued], uncertainties: Sequence[GivenUncertainty], dof: int
 ) -> tuple[tuple[Parameter, ...], Budget | None]:
     """The parameters with their systematic part, which may be zero, and the budget; none without

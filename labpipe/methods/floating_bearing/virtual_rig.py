@@ -65,7 +65,7 @@ class Pad(Settings):
 
 
 @dataclass(frozen=True)
-class Condition(Settings):
+class FilmCondition(Settings):
     """A condition of the test: the film between stator and shaft, H = K + j w C - w^2 M and what is added to
     it.
     """
@@ -112,8 +112,8 @@ class FloatingRig(Settings):
 
     kind: str = choice("which virtual rig", (KIND,))
     stator_mass: float = quantity("mass of the stator with its housing", "kg")
-    conditions: tuple[tuple[str, Condition], ...] = setting(
-        "sections", "conditions by name", section=Condition, default=(), needed=True
+    conditions: tuple[tuple[str, FilmCondition], ...] = setting(
+        "sections", "conditions by name", section=FilmCondition, default=(), needed=True
     )
     _: KW_ONLY
     name: str = text("name of the rig", "Virtual floating stator")
@@ -183,7 +183,7 @@ class FloatingRig(Settings):
         """The recordings of every condition under the rig's `excitation`."""
         return tuple(f"{name}-{end}" for name, _ in self.conditions for end in RUNS_OF[self.excitation])
 
-    def condition(self, run: str) -> Condition:
+    def condition(self, run: str) -> FilmCondition:
         return dict(self.conditions)[run.rpartition("-")[0]]
 
     @property
@@ -210,7 +210,7 @@ def _journal(journal: JournalSettings, load: float, speed: float) -> tuple[Float
     return state.stiffness, state.damping
 
 
-def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, FloatArray, FloatArray]:
+def coefficients(rig: FloatingRig, condition: FilmCondition) -> tuple[FloatArray, FloatArray, FloatArray]:
     """K [N/m], C [N s/m] and M [kg] of the film, (2, 2) each, without relaxation and pad."""
     stiffness, damping = np.array(condition.stiffness, float), np.array(condition.damping, float)
     if condition.film == "journal":
@@ -219,7 +219,7 @@ def coefficients(rig: FloatingRig, condition: Condition) -> tuple[FloatArray, Fl
     return stiffness, damping, np.array(condition.mass, float)
 
 
-def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> ComplexArray:
+def film(rig: FloatingRig, condition: FilmCondition, frequency: FloatArray) -> ComplexArray:
     """H = K + j w C - w^2 M + relaxation + pad at *frequency* (n,) [Hz], (n, 2, 2) [N/m]: force on the stator
     is -H D.
 
@@ -241,7 +241,7 @@ def film(rig: FloatingRig, condition: Condition, frequency: FloatArray) -> Compl
 
 
 def motions(
-    rig: FloatingRig, condition: Condition, frequency: FloatArray, forces: ComplexArray
+    rig: FloatingRig, condition: FilmCondition, frequency: FloatArray, forces: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """X_s and X_r (n, 2) [m] under *forces* (n, 4) [N] on the stator and on the shaft at *frequency* (n,)
     [Hz]. Equation (sim-floating).
@@ -269,7 +269,7 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     late = np.exp(-2j * np.pi * lines * rig.probe_delay)[:, None]
     amplitudes = np.hstack([pushed, (stator - shaft) * late, -((2 * np.pi * lines[:, None]) ** 2) * stator])
     phase = rng.uniform(0, 2 * np.pi)
-    samples = _in_time(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
+    samples = _time_signal(rig, inside, amplitudes) + _synchronous(rig, condition, phase)
     kinds = (("f", "force", "input"), ("d", "displacement", "output"), ("a", "acceleration", "output"))
     channels = [
         Channel(f"{letter}_{axis}", quantity, role, axis, AXIS_ANGLES[axis])
@@ -277,7 +277,7 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
         for axis in AXES
     ]
     if rig.drives:
-        samples = np.hstack([samples, _in_time(rig, inside, pushed / rig.gain)])
+        samples = np.hstack([samples, _time_signal(rig, inside, pushed / rig.gain)])
         channels += [Channel(f"u_{axis}", "voltage", "reference", axis, AXIS_ANGLES[axis]) for axis in AXES]
     noise = [rig.noise.of(channel.quantity) for channel in channels]
     samples = samples + rng.standard_normal(samples.shape) * noise
@@ -285,7 +285,7 @@ def _run(rig: FloatingRig, name: str, rng: np.random.Generator) -> Recording:
     return Recording((*channels, TACHO), np.column_stack([samples, tacho]), rig.sample_rate, name)
 
 
-def _in_time(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
+def _time_signal(rig: FloatingRig, lines: IntArray, amplitudes: ComplexArray) -> FloatArray:
     spectrum = np.zeros((rig.n_sample // 2 + 1, amplitudes.shape[1]), np.complex128)
     spectrum[lines] = amplitudes * (rig.n_sample / 2)
     return fft.irfft(spectrum, rig.n_sample, axis=0)
@@ -295,7 +295,7 @@ def _angle(rig: FloatingRig, speed: float) -> FloatArray:
     return 2 * np.pi * speed * np.arange(rig.n_sample) / rig.sample_rate
 
 
-def _synchronous(rig: FloatingRig, condition: Condition, phase: float) -> FloatArray:
+def _synchronous(rig: FloatingRig, condition: FilmCondition, phase: float) -> FloatArray:
     total = np.zeros((rig.n_sample, 6))
     if condition.speed == 0:
         return total
@@ -360,7 +360,7 @@ def truth(rig: FloatingRig) -> dict[str, Any]:
     return {"stator_mass": rig.stator_mass, "baseline": stator, "conditions": conditions}
 
 
-def _coefficients_by_name(rig: FloatingRig, condition: Condition) -> Truth:
+def _coefficients_by_name(rig: FloatingRig, condition: FilmCondition) -> Truth:
     stiffness, damping, mass = coefficients(rig, condition)
     return coefficients_by_name(AXES, k=stiffness, c=damping, m=mass)
 

@@ -55,7 +55,7 @@ class FilmState:
     steps: int
     coarse: FilmState | None = None
 
-    def moved(self, first: FilmState, second: FilmState) -> FilmState:
+    def move(self, first: FilmState, second: FilmState) -> FilmState:
         """A start value: this state changed as from *first* to *second*."""
         return replace(
             self,
@@ -271,14 +271,14 @@ class JournalEquilibrium:
         scale = self.bearing.force_scale(self.speed) / (self.bearing.clearance * self.speed)
         return self.state.damping * scale
 
-    def moved(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
+    def move(self, first: JournalEquilibrium, second: JournalEquilibrium) -> JournalEquilibrium:
         """A start value: its state moved as that of *second* differs from that of *first*, of one mesh."""
-        return replace(self, state=self.state.moved(first.state, second.state))
+        return replace(self, state=self.state.move(first.state, second.state))
 
     @property
     def coarser(self) -> JournalEquilibrium | None:
         """Roughly the same on half the cells each way, a start value; None where it was not needed."""
-        mesh = self.mesh.halved()
+        mesh = self.mesh.halve()
         if self.state.coarse is None or mesh is None:
             return None
         return replace(self, mesh=mesh, state=self.state.coarse, error=None)

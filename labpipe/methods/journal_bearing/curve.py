@@ -275,7 +275,7 @@ class _Sheet:
         )
         return journal_equilibrium(worn, self.load, self.speed, self.mesh, near, self.tolerance)
 
-    def scaled(self, equilibrium: JournalEquilibrium) -> FloatArray:
+    def scale(self, equilibrium: JournalEquilibrium) -> FloatArray:
         matrices = np.stack([equilibrium.stiffness, equilibrium.damping * self.speed])
         return matrices * (self.bearing.clearance / float(np.hypot(*self.load)))
 
@@ -288,7 +288,7 @@ class _Sheet:
             here: list[JournalEquilibrium] = []
             for number, place in enumerate(product(numbers, pressures)):
                 here.append(self.equilibrium(angle, *place, _start(here, before, number)))
-            rows.append([self.scaled(equilibrium) for equilibrium in here])
+            rows.append([self.scale(equilibrium) for equilibrium in here])
             before = here
         shape = (numbers.size, pressures.size, 8)
         return np.broadcast_to(np.reshape(rows, (-1, *shape)), (angles.size, *shape))
@@ -302,7 +302,7 @@ def _start(
         return before[number] if before else None
     if not before:
         return here[-1]
-    return here[-1].moved(before[number - 1], before[number])
+    return here[-1].move(before[number - 1], before[number])
 
 
 def _fit(

@@ -72,14 +72,14 @@ class FilmMesh:
     def strip(self) -> float:
         return 2 / self.across
 
-    def halved(self) -> FilmMesh | None:
+    def halve(self) -> FilmMesh | None:
         """The mesh with half the cells each way, rounded to even numbers; None where that is too coarse."""
         around, across = (2 * ((n + 2) // 4) for n in (self.around, self.across))
         return FilmMesh(around, max(across, FEWEST_ACROSS)) if around >= FEWEST_AROUND else None
 
     def half(self) -> FilmMesh:
-        """As `halved`; ConfigError where that is too coarse."""
-        if (mesh := self.halved()) is None:
+        """As `halve`; ConfigError where that is too coarse."""
+        if (mesh := self.halve()) is None:
             what = f"a mesh of {self.around} x {self.across} cells is too coarse to halve"
             raise ConfigError(what, hint=f"give {2 * FEWEST_AROUND} x {2 * FEWEST_ACROSS} cells or more")
         return mesh
@@ -187,7 +187,7 @@ class Film:
 
     def coarser(self) -> Film | None:
         """The same film with half the cells each way, None where that is too coarse."""
-        mesh = self.mesh.halved()
+        mesh = self.mesh.halve()
         return None if mesh is None else replace(self, mesh=mesh)
 
     def thickness(self, displacement: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -79,28 +79,28 @@ class FollowedFit:
         self.sums, self._block = running_fit.Directions(block > 0, at), block
         self.charts = charts.Charts(self.fit)
         self.model = model
-        self.estimate: running_fit.Estimate | None = None
+        self.estimate: running_fit.RunningEstimate | None = None
         self.widths: dict[str, list[float]] = {}
         self.first: list[tuple[ComplexArray, int, FloatArray | None]] = []
-        self.common: Mapping[str, charts.Common] = {}
+        self.common: Mapping[str, charts.CommonPart] = {}
         self.by_run: Fit | None = None
         self._looked_at, self._next_look = 0, FIRST_LOOK
         self._by_turns: tuple[int, FloatArray] = 0, np.empty(0)
 
     @property
-    def now(self) -> running_fit.Estimate:
+    def now(self) -> running_fit.RunningEstimate:
         """The estimate, of a fit that has one."""
         assert self.estimate is not None
         return self.estimate
 
-    def picked(self, average: sources.Average) -> ComplexArray:
+    def pick(self, average: sources.Average) -> ComplexArray:
         """The fit's lines and channels, sensors taken out, (n_line, 1, n_channel) [channels' units]."""
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
     def check(self, averages: Sequence[sources.Average]) -> None:
         """FitError for the first *averages* of a direction that show no motion, or no noise at all."""
-        z = np.array([self.picked(average) for average in averages])
+        z = np.array([self.pick(average) for average in averages])
         for number, port in enumerate(self.setup.outputs):
             if not z[..., number].any():
                 what = f"{port.label} is zero at every line of the band; is the sensor connected?"
@@ -158,12 +158,12 @@ class FollowedFit:
         stated: dict[str, float] = {}
         if response is not None and response.errors and fits and fits[0].budget is not None:
             # Noise of the force within its window falls with every hit: it is in that of the averages.
-            budget = fits[0].budget.enlarged({error.uncertainty.source: 0.0 for error in response.errors})
+            budget = fits[0].budget.enlarge({error.uncertainty.source: 0.0 for error in response.errors})
             stated = dict(zip(budget.names, map(float, budget.systematic), strict=True))
-        now = {parameter.name: parameter.value for parameter in self._of_noise()}
+        now = {parameter.name: parameter.value for parameter in self._noise_parameters()}
         rings = self._rings_on(now)
         self.common = {
-            parameter.name: charts.Common(
+            parameter.name: charts.CommonPart(
                 math.hypot(lasts := charts.lasting(parameter, stated), rest := rings.get(parameter.name, 0)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 RINGS_ON if rest > lasts else parameter.reason,
@@ -217,7 +217,7 @@ class FollowedFit:
     def parameters(self) -> tuple[Parameter, ...]:
         """The coefficients and what derives from them, with the whole interval that holds at this moment."""
         parameters = []
-        for parameter in self._of_noise():
+        for parameter in self._noise_parameters():
             common = self.common.get(parameter.name)
             if common is not None and parameter.ci95 is not None:
                 low, high = parameter.ci95
@@ -227,10 +227,10 @@ class FollowedFit:
             parameters.append(parameter)
         return tuple(parameters)
 
-    def _of_noise(self) -> tuple[Parameter, ...]:
+    def _noise_parameters(self) -> tuple[Parameter, ...]:
         estimate = self.now
         dof = np.maximum(estimate.dof.astype(int), 1)
-        design = running_fit.scaled(estimate.information)[0] if estimate.identifiable else np.eye(dof.size)
+        design = running_fit.rescale(estimate.information)[0] if estimate.identifiable else np.eye(dof.size)
         # The scale is selected low where the width ends the test; what an interval has beyond noise.
         widened = (1 + 2 / float(estimate.dof.min())) * self.by_chi_square**2
         fitted = FitEstimate(
@@ -246,7 +246,7 @@ class FollowedFit:
             for p in reported_parameters(fitted, self.model, self.setup)
         )
 
-    def by_other_forces(self, number: int, goal: float) -> charts.OtherForces | None:
+    def forecast_other_forces(self, number: int, goal: float) -> charts.OtherForces | None:
         """What the forces that did not act yet would save of the averages until coefficient *number* has the
         half-width *goal* [parameter unit]; None where all did.
         """
@@ -276,7 +276,7 @@ class FollowedFit:
         noise = np.mean(self.sums.covariance() * counts[:, None, None], axis=1, keepdims=True)
         _, _, multiplier, slopes, weighted = self.fit.parts(z, noise, self.now.values)
         added, _ = running_fit.normal_equations(slopes, weighted, multiplier)
-        unit, scale = running_fit.scaled(self.now.information * counts.size / self.now.n + added)
+        unit, scale = running_fit.rescale(self.now.information * counts.size / self.now.n + added)
         return np.diag(np.linalg.pinv(unit, hermitian=True)) / scale**2
 
 
@@ -334,7 +334,7 @@ FIRST_AGAIN = 5
 
 
 @dataclass(eq=False, repr=False)
-class Bench(charts.Watch):
+class Bench(charts.GoalWatch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __post_init__(self) -> None:
@@ -423,7 +423,7 @@ class Bench(charts.Watch):
     def _follow(self, average: sources.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
         direction, level = average.direction, self._level(average)
-        parts = [fit.picked(average) for fit in self.fits]
+        parts = [fit.pick(average) for fit in self.fits]
         for fit, z in zip(self.fits, parts, strict=True):
             if fit.estimate is None:
                 continue
@@ -476,7 +476,7 @@ class Bench(charts.Watch):
         return charts.Update(
             self.averages,
             standings=standings,
-            findings=(*self.findings.values(), *self._of_fits(standings)),
+            findings=(*self.findings.values(), *self._fit_findings(standings)),
             stop=self._enough(standings),
             seconds=self.seconds,
             events=events,
@@ -527,10 +527,10 @@ class Bench(charts.Watch):
             number = fit.model.names.index(parameter.name)
             of_noise = math.sqrt(wanted**2 - floor**2) / fit.by_chi_square
             remaining = charts.forecast(fit.now, number, of_noise, variation)
-            remaining = replace(remaining, others=fit.by_other_forces(number, of_noise))
+            remaining = replace(remaining, others=fit.forecast_other_forces(number, of_noise))
         return charts.Standing(parameter, wanted, remaining, floor)
 
-    def _of_fits(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
+    def _fit_findings(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
         findings = []
         for fit in self.fits:
             estimate, name = fit.estimate, fit.settings.name
@@ -555,9 +555,9 @@ class Bench(charts.Watch):
                     findings.append(standing.no_help(label))
                 elif not fit.common and estimate.misfit and charts.no_longer_falls(fit.widths[parameter]):
                     findings.append(standing.no_help(label, "model error"))
-        return [*findings, *self._not_told(standings)]
+        return [*findings, *self._find_undetermined(standings)]
 
-    def _not_told(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
+    def _find_undetermined(self, standings: Mapping[str, charts.Standing]) -> list[Finding]:
         missing = {
             label: (left, math.inf if left.expected is None else left.expected)
             for label, standing in standings.items()
@@ -583,7 +583,7 @@ class Bench(charts.Watch):
             return False
         return not any(code in ("changes", "bad-averages") for code, _ in self.findings)
 
-    def by_hand(self) -> dict[str, tuple[float, float]]:
+    def manual_intervals(self) -> dict[str, tuple[float, float]]:
         """Intervals that hold whenever one stops: t mixture sequence (Wang and Ramdas 2023) tuned to now."""
         intervals: dict[str, tuple[float, float]] = {}
         for fit in self.fits:

@@ -55,7 +55,7 @@ def cusum_limit(alarm: float) -> float:
 
 
 @dataclass
-class Series:
+class ScoreSeries:
     """Normal scores of a series whose values theory expects to have the mean 0 and the deviation 1."""
 
     past: list[float] = field(default_factory=list)
@@ -86,7 +86,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AverageVerdict:
     """What the charts say of a new average: it is a *jump* to be left out; *change* since that average;
     *with_level*: the coefficients follow the level of the hits.
     """
@@ -100,12 +100,12 @@ class Charts:
     def __init__(self, fit: running_fit.RunningFit) -> None:
         self._fit = fit
         # Of the energy, and of every coefficient.
-        self._series = [Series() for _ in range(1 + len(fit.equation.model.names))]
+        self._series = [ScoreSeries() for _ in range(1 + len(fit.equation.model.names))]
         self._pairs: list[tuple[float, FloatArray]] = []
         self._change_limit = cusum_limit(CHANGE * ALPHA / len(self._series))
 
     def monitors(
-        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.RunningEstimate
     ) -> tuple[FloatArray, float]:
         """Whitened shift r (n_parameter,) of the coefficients by the average *z* (n_line, n_experiment,
         n_channel) against the fit *before*, and its energy T [1].
@@ -136,7 +136,7 @@ class Charts:
         )
         n = len(before.values)
         information[n:, n:] += unit
-        scale = np.append(running_fit.scaled(before.information)[1], np.ones(len(errors)))
+        scale = np.append(running_fit.rescale(before.information)[1], np.ones(len(errors)))
         here = np.linalg.pinv(information / np.outer(scale, scale), hermitian=True)
         shift, here = -(here @ (gradient / scale))[:n], here[:n, :n]
         known = before.information / np.outer(scale[:n], scale[:n])
@@ -147,7 +147,7 @@ class Charts:
         return whitened, float(energy / residual.size)
 
     def _score(
-        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.RunningEstimate
     ) -> tuple[list[float], list[float], bool]:
         """Values and normal scores of the energy and coefficients of *z*, and whether it is a jump."""
         number, n_parameter = sums.n + 1, len(self._series) - 1
@@ -166,25 +166,25 @@ class Charts:
         jump = min(of_energy / ENERGY_JUMP, of_scores / SCORE_JUMP) < ALPHA / HORIZON
         return values, scores, bool(jump)
 
-    def jumps(self, z: ComplexArray, sums: running_fit.Sums, others: running_fit.Estimate) -> bool:
+    def jumps(self, z: ComplexArray, sums: running_fit.Sums, others: running_fit.RunningEstimate) -> bool:
         """Whether *z* (n_line, n_experiment, n_channel) [units of channels] disagrees with the *others*."""
         return self._score(z, sums, others)[2]
 
     def judge(
-        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.Estimate, level: float
-    ) -> Verdict:
+        self, z: ComplexArray, sums: running_fit.Sums, before: running_fit.RunningEstimate, level: float
+    ) -> AverageVerdict:
         """The verdict on the next average *z* (n_line, n_experiment, n_channel), its force of *level* [N]."""
         number = sums.n + 1
         if number < 3:
-            return Verdict()
+            return AverageVerdict()
         values, scores, jump = self._score(z, sums, before)
         if jump:
-            return Verdict(jump=True)
+            return AverageVerdict(jump=True)
         for series, value, score in zip(self._series, values, scores, strict=True):
             series.take(value, score, number)
         changes = [series.changed_since(self._change_limit) for series in self._series]
         self._pairs.append((float(np.log(level)) if level > 0 else 0.0, np.array(scores[1:])))
-        return Verdict(
+        return AverageVerdict(
             change=next((change for change in changes if change is not None), None),
             with_level=isinstance(sums, running_fit.HitSums) and self._follows_level(),
         )
@@ -241,7 +241,9 @@ def half_of_noise(std_error: FloatArray, dof: FloatArray) -> FloatArray:
     return scipy.special.stdtrit(dof, 0.975) * np.sqrt(1 + 2 / dof) * std_error
 
 
-def needed(estimate: running_fit.Estimate, number: int, goal: float, scale: float = 1.0) -> int | None:
+def averages_needed(
+    estimate: running_fit.RunningEstimate, number: int, goal: float, scale: float = 1.0
+) -> int | None:
     """Averages that give coefficient *number* the half-width *goal*, its variance times *scale* [1]."""
     n, dof = estimate.n, estimate.dof[number]
     error = estimate.std_error[number] * np.sqrt(scale)
@@ -257,12 +259,14 @@ def needed(estimate: running_fit.Estimate, number: int, goal: float, scale: floa
     return math.ceil(scipy.optimize.brentq(lambda averages: half(averages) - goal, n, FAR))
 
 
-def forecast(estimate: running_fit.Estimate, number: int, goal: float, variation: float = 0.0) -> Forecast:
+def forecast(
+    estimate: running_fit.RunningEstimate, number: int, goal: float, variation: float = 0.0
+) -> Forecast:
     """When coefficient *number* reaches the half-width *goal* [parameter unit].
 
     *variation*: squared coefficient of variation of the information of single averages (0 of periods).
     """
-    expected = needed(estimate, number, goal)
+    expected = averages_needed(estimate, number, goal)
     if expected is None:
         return Forecast(None)
     n, dof = estimate.n, estimate.dof[number]
@@ -273,7 +277,7 @@ def forecast(estimate: running_fit.Estimate, number: int, goal: float, variation
     spread = np.sqrt(2 / gained + 2 / dof) * gained / later
     relative = estimate.std_error[number] / abs(estimate.values[number])
     moved = np.sqrt(4 * relative**2 * (1 - n / expected) + variation * (1 / n - 1 / expected))
-    ends = [needed(estimate, number, goal, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
+    ends = [averages_needed(estimate, number, goal, float(np.exp(sign * BAND * spread))) for sign in (-1, 1)]
     low = None if ends[0] is None else max(n + 1, int(np.floor(ends[0] * np.exp(-BAND * moved))))
     latest = FAR if ends[1] is None else np.ceil(ends[1] * np.exp(min(BAND * moved, 100.0)))
     high = int(latest) if latest < FAR else None
@@ -344,7 +348,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Common:
+class CommonPart:
     """What more averages do not take from the interval of a coefficient: its *half*-width by model error and
     stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
     """
@@ -439,7 +443,7 @@ class Update:
 
 
 @dataclass
-class Watch:
+class GoalWatch:
     """What follows the samples of *channels* for the fits of *settings*, until its *goals* are reached."""
 
     channels: tuple[Channel, ...]

@@ -29,7 +29,7 @@ PICTURE = 0.25
 FRAMES = "frames"
 
 
-def _above_zero(text: str) -> float:
+def _parse_positive(text: str) -> float:
     """A number above zero; BadParameter for another one."""
     with suppress(ValueError):
         if 0 < (number := float(text)) < math.inf:
@@ -53,7 +53,7 @@ def _above_zero(text: str) -> float:
 @options.path("-o", "--output", metavar="DIR", help="Afterwards run the pipeline over the recording.")
 @click.option(
     "--idle",
-    type=_above_zero,
+    type=_parse_positive,
     metavar="SECONDS",
     default="90",
     show_default=True,
@@ -63,7 +63,7 @@ def _above_zero(text: str) -> float:
 @click.option("--run", "run_name", default="", help="Run of the virtual rig; default: the first.")
 @click.option(
     "--speed",
-    type=_above_zero,
+    type=_parse_positive,
     metavar="NUMBER",
     default="1",
     show_default=True,
@@ -228,7 +228,7 @@ def _echo_last(session: Session) -> None:
 def _echo_by_hand(session: Session) -> None:
     from labpipe.methods.live.bench import Bench
 
-    intervals = session.bench.by_hand() if isinstance(session.bench, Bench) else {}
+    intervals = session.bench.manual_intervals() if isinstance(session.bench, Bench) else {}
     if intervals:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
         for name, (low, high) in intervals.items():

@@ -271,7 +271,7 @@ class Directions:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class RunningEstimate:
     """Where a running fit stands after *n* averages, the *least* in one direction.
 
     values, std_error, dof (n_parameter,) [parameter units]: of noise; reduced: chi-square per degree of
@@ -303,7 +303,7 @@ class RunningFit:
         self.equation = equation
         self.values: FloatArray | None = None
 
-    def update(self, sums: Directions) -> Estimate:
+    def update(self, sums: Directions) -> RunningEstimate:
         """The estimate after the averages in *sums*, of which a direction has two."""
         mean, covariance = sums.mean, sums.covariance()
         cold = self.values is None
@@ -343,7 +343,7 @@ class RunningFit:
         for _ in range(steps):
             _, _, multiplier, slopes, weighted = self.parts(mean, covariance, values)
             information, gradient = normal_equations(slopes, weighted, multiplier)
-            unit, scale = scaled(information)
+            unit, scale = rescale(information)
             step = np.linalg.lstsq(unit, gradient / scale, rcond=1e-12)[0] / scale
             share = 1.0
             while share > 1e-3:
@@ -386,7 +386,7 @@ class RunningFit:
         covariance: ComplexArray,
         values: FloatArray,
         common: ComplexArray,
-    ) -> Estimate:
+    ) -> RunningEstimate:
         residual, weight, multiplier, slopes, weighted = self.parts(mean, covariance, values)
         # Errors that lines have in common are more unknowns, each of the size 1.
         moved = np.moveaxis((self.equation.gain(values)[:, None] @ common[..., None])[..., 0], 0, -1)
@@ -394,7 +394,7 @@ class RunningFit:
         of_both, pull = normal_equations(both, weight @ both, multiplier)
         n_parameter, n_output = values.size, self.equation.n_output
         information, beside = of_both[:n_parameter, :n_parameter], of_both[n_parameter:, :n_parameter]
-        unit, scale = scaled(information)
+        unit, scale = rescale(information)
         identifiable = bool(np.linalg.cond(unit) < SINGULAR)
         inverse = np.linalg.pinv(unit, hermitian=True) / np.outer(scale, scale)
         n, least = int(counts.sum()), int(counts.min())
@@ -410,7 +410,7 @@ class RunningFit:
         spread = np.sum(shares**2, axis=0) / (counts - 1)[:, None]
         dof = 2 * np.sum(shares, axis=(0, 1)) ** 2 / np.sum(spread, axis=0) * (std_error**2 / of_noise) ** 2
         if len(shifts):
-            whole, size = scaled(inverse + of_common)
+            whole, size = rescale(inverse + of_common)
             information = np.linalg.pinv(whole, hermitian=True) / np.outer(size, size)
         freedom = 2 * residual.size - n_parameter
         chi2 = float(2 * np.sum((multiplier.conj() * residual).real))
@@ -421,10 +421,10 @@ class RunningFit:
         reduced = chi2 / freedom
         misfit = bool(f_tail(reduced, freedom, smoothed) < MISFIT_P)
         of_fit = (reduced, misfit, identifiable, information, covariance_of_values)
-        return Estimate(n, least, values, std_error, dof, *of_fit)
+        return RunningEstimate(n, least, values, std_error, dof, *of_fit)
 
 
-def scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+def rescale(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """An information (n_parameter, n_parameter) [1/unit^2] with the diagonal 1, and its scale [1/unit]."""
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0

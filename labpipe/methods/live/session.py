@@ -23,7 +23,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
-from labpipe.methods.live.charts import Forecast, Goal, Standing, Update, Watch, lasting
+from labpipe.methods.live.charts import Forecast, Goal, GoalWatch, Standing, Update, lasting
 from labpipe.methods.live.sources import MOST_ROWS, Folder, SampleStream, is_old
 from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
 from labpipe.project.measured import measurement
@@ -73,14 +73,14 @@ class Part:
 
 
 @dataclass(eq=False, repr=False)
-class WholeFits(Watch):
+class WholeFits(GoalWatch):
     """Fits that cannot follow single averages: made anew of all samples so far, at looks ever further
     apart. What begins anew (a file that falls into a folder, a gap) is another recording, as in a run.
     """
 
     def __post_init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="labpipe-live-")
-        self._kept = Kept(Path(self._folder.name) / "samples", 8 * len(self.channels))
+        self._kept = FrameStore(Path(self._folder.name) / "samples", 8 * len(self.channels))
         self._next, self._looked_at, self._firsts = 0.0, 0, [0]
 
     def restart(self) -> None:
@@ -179,7 +179,7 @@ class WholeFits(Watch):
         return replace(standing, remaining=Forecast(expected), floor=floor)
 
 
-class Kept:
+class FrameStore:
     """Frames of *size* bytes on disk as they come, behind a *head*; *full*: why there is no more room."""
 
     def __init__(self, path: Path, size: int, head: bytes = b"") -> None:
@@ -241,11 +241,11 @@ class Frames:
         self.files = [path for path in every if path.stat().st_size >= len(self._head) + self._frame]
         self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
         self._streams = [*(self._reopen(path) for path in self.files), stream]
-        self.kept: Kept | None = None
+        self.kept: FrameStore | None = None
         if keep is not None:
             keep.mkdir(parents=True, exist_ok=True)
             self.files.append(keep / f"{int(self.files[-1].stem) + 1 if self.files else 1:04}.frames")
-            self.kept = Kept(self.files[-1], self._frame, self._head)
+            self.kept = FrameStore(self.files[-1], self._frame, self._head)
 
     def _reopen(self, path: Path) -> BinaryIO:
         stream = path.open("rb")
@@ -391,8 +391,8 @@ class Session:
             raise DataError(what, self.path or "", "leave sample_rate out of the rig file, or correct it")
         if self.stream.restarted:
             self.bench.restart()
-        for piece in self._without_gaps(rows):
-            block = self._calibration.with_sums(self._calibration.measured(piece))
+        for piece in self._skip_gaps(rows):
+            block = self._calibration.with_sums(self._calibration.to_si(piece))
             measured = block[:, : len(self.rig.channels)]
             if np.isfinite(measured).all():
                 self._screen.add(measured)
@@ -422,7 +422,9 @@ class Session:
         # A fit that nobody waits for is left to the run at the end.
         whole = [fit for fit in fits if fit not in followed and (not followed or fit.name in wanted)]
         self.findings += [
-            _not_followed(fit.name, reasons[fit.name], fit in whole) for fit in fits if fit not in followed
+            _unfollowed_finding(fit.name, reasons[fit.name], fit in whole)
+            for fit in fits
+            if fit not in followed
         ]
         self._rate = rate
         looked_at = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
@@ -446,7 +448,7 @@ class Session:
             if not goal.fit and (goal.name in names.get(fit.name, ()) or goal.name not in coefficients)
         }
 
-    def _without_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
+    def _skip_gaps(self, rows: FloatArray) -> Iterator[FloatArray]:
         if not self.rig.time:
             yield rows
             return
@@ -493,7 +495,7 @@ class Session:
         return [] if self.path is None else [self.path]
 
 
-def _not_followed(fit: str, reason: str, whole: bool) -> Finding:
+def _unfollowed_finding(fit: str, reason: str, whole: bool) -> Finding:
     instead = "it is made once the test has ended"
     if whole:
         more, early = (f"{100 * (look - 1):.0f} %" for look in (NEXT_LOOK, EARLY_LOOK))

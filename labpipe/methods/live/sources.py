@@ -489,7 +489,7 @@ class HitCutter(_Cutter):
         average = self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
         # Counted from its trigger, which is no matter for an FRF.
         numbers = np.arange(self._lines.start, self._lines.stop)
-        turned = windows.turned(numbers, np.array([-trigger]), self.n_sample)
+        turned = windows.phase_factors(numbers, np.array([-trigger]), self.n_sample)
         return replace(average, amplitude=average.amplitude * turned, noise=noise)
 
 

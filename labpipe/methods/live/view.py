@@ -17,7 +17,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.cli.many import duration
-from labpipe.display import amount_text, counted, difference_in, per_cent, shown_unit, unit_label
+from labpipe.display import amount_text, count_text, difference_in, per_cent, shown_unit, unit_label
 from labpipe.document.html_page import page_part, render_html
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, obstacle
@@ -71,7 +71,7 @@ class CoefficientCourse:
 
 
 @dataclass(frozen=True)
-class Course:
+class LiveCourse:
     """The course of a *test* of so many *averages* (each a *what*: period or hit); *enough*: after how many
     every goal was reached; *left_out*: averages that do not count, with their reason.
     """
@@ -85,7 +85,7 @@ class Course:
     left_out: tuple[str, ...] = ()
 
 
-Courses = tuple[Course, ...]
+Courses = tuple[LiveCourse, ...]
 
 
 def coefficients_of(updates: Sequence[Update]) -> tuple[CoefficientCourse, ...]:
@@ -146,7 +146,7 @@ def _course(
     settings: LiveSettings,
     work: Work,
     names: Sequence[str],
-) -> list[Course]:
+) -> list[LiveCourse]:
     """The course of a test, none where no fit of it can be followed."""
     bench: Bench | None = None
     enough, left_out = None, []
@@ -170,7 +170,7 @@ def _course(
                 left_out += [event for event in update.events if "left out" in event]
     assert bench is not None
     what, n, coefficients = bench.what, bench.averages, coefficients_of(bench.updates)
-    return [Course(test.name, what, n, coefficients, settings.until, enough, tuple(left_out))]
+    return [LiveCourse(test.name, what, n, coefficients, settings.until, enough, tuple(left_out))]
 
 
 def course_lines(courses: Courses) -> Iterator[str]:
@@ -178,8 +178,8 @@ def course_lines(courses: Courses) -> Iterator[str]:
         yield f"live{f' {course.test}' if course.test else ''}: {_sentence(course)}"
 
 
-def _sentence(course: Course) -> str:
-    count = counted(course.averages, course.what)
+def _sentence(course: LiveCourse) -> str:
+    count = count_text(course.averages, course.what)
     if not course.goals:
         return f"{count}, no goal was set"
     goals = f"the goals ({', '.join(course.goals)})"
@@ -226,7 +226,7 @@ def left_text(standing: Standing, update: Update, what: str) -> str:
     if left is None or left.expected is None:
         return "not by more averages" if left is not None else ""
     more = max(left.expected - update.averages, 1)
-    text = f"{counted(more, f'more {what}')}, about {duration(more * update.seconds)}"
+    text = f"{count_text(more, f'more {what}')}, about {duration(more * update.seconds)}"
     if left.low is not None and left.high is not None:
         low, high = (max(n - update.averages, 0) for n in (left.low, left.high))
         text += f" (80 %: {low}-{high}); at twice the level {-(-more // 4)}"
@@ -258,7 +258,7 @@ def rows_of(session: Session, update: Update) -> list[tuple[str, str, str, str]]
 
 def headline(session: Session, update: Update) -> str:
     """One sentence: where the test stands."""
-    count = counted(update.averages, session.what)
+    count = count_text(update.averages, session.what)
     if update.stop:
         return f"Enough: {count}, every goal is reached."
     goals = [standing for standing in update.standings.values() if standing.goal is not None]

@@ -29,7 +29,7 @@ SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True)
-class Levitation(BalanceLines):
+class LevitationBalance(BalanceLines):
     """Currents [A], then displacements at the magnets [m], by to_axes (2 n, n_channel) [1], and the rotor
     that ties them: mass (n, n) [kg] at the magnets.
 
@@ -54,7 +54,7 @@ def levitation_of(
     names: tuple[Sequence[str], Sequence[str]],
     mass: FloatArray | float,
     settings: MagnetSettings,
-) -> Levitation:
+) -> LevitationBalance:
     """The levitated rotor of a test in a band [Hz]; *mass* [kg], or (n, n).
 
     *names* of the currents and of the displacements, all without names.
@@ -68,9 +68,9 @@ def levitation_of(
     to_axes = np.zeros((2 * n, len(spectra.channels)))
     to_axes[:n, currents] = np.eye(n)
     sensors = [spectra.channels[k] for k in displacements]
-    to_axes[n:, displacements], bearing, planes = _at_magnets(chosen, sensors)
+    to_axes[n:, displacements], bearing, planes = _displacements_at_magnets(chosen, sensors)
     cure = ", or raise the level, since lines at which no current exceeds its noise are left out"
-    return Levitation.of(
+    return LevitationBalance.of(
         spectra,
         band,
         to_axes,
@@ -113,7 +113,7 @@ def _pair(channels: Sequence[Channel], currents: Sequence[int], displacements: S
     return [of_dof[channels[n].dof] for n in currents]
 
 
-def _at_magnets(
+def _displacements_at_magnets(
     currents: Sequence[Channel], sensors: Sequence[Channel]
 ) -> tuple[FloatArray, tuple[int, ...], tuple[tuple[int, ...], ...]]:
     """Displacements at the magnets by the sensors' (n, n) [1], the bearing of each axis, axes by plane."""

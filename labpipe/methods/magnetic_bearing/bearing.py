@@ -191,7 +191,7 @@ class MagneticFile(Settings):
     def motion_frequency(self) -> float:
         return float(self.speed or 0.0) if self.frequency is None else self.frequency
 
-    def levitated(self) -> Suspended:
+    def suspension(self) -> Suspended:
         """Control loop, negative stiffness and mass, from whichever entries the file has."""
         factor, pull, loop = self.force_per_current, self.negative_stiffness, self.loop
         if self.magnet is not None:
@@ -223,7 +223,7 @@ class MagneticFile(Settings):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class StabilityVerdict:
     """Stability of one setting: poles (n_pole,) [rad/s], number of unstable ones with the exact delay, the
     sensitivity's peak. *sampled*: the poles have the exact delay as well.
     """
@@ -235,13 +235,13 @@ class Verdict:
 
 
 @lru_cache(maxsize=32)
-def verdict(plant: Suspended) -> Verdict:
+def verdict(plant: Suspended) -> StabilityVerdict:
     sampled = plant.loop.rate is not None
-    return Verdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant), sampled)
+    return StabilityVerdict(closed_loop_poles(plant), unstable_poles(plant), sensitivity_peak(plant), sampled)
 
 
 def _coefficients(settings: MagneticFile) -> BearingCoefficients:
-    plant, omega = settings.levitated(), 2 * np.pi * np.array([settings.motion_frequency])
+    plant, omega = settings.suspension(), 2 * np.pi * np.array([settings.motion_frequency])
     stability = verdict(plant)
     (total,) = stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
     # The stiffness of an integrating controller at rest is infinite.
@@ -278,7 +278,7 @@ def _coefficients(settings: MagneticFile) -> BearingCoefficients:
     )
 
 
-def stability_findings(stability: Verdict) -> tuple[Finding, ...]:
+def stability_findings(stability: StabilityVerdict) -> tuple[Finding, ...]:
     """Warnings: an unstable loop; poles unstable only by the approximated delay; S beyond zone B."""
     right = stability.poles[stability.poles.real > 0]
     if stability.unstable:
@@ -302,7 +302,7 @@ def growing(count: int) -> str:
 
 
 def _dynamic(settings: MagneticFile, omega: FloatArray) -> ComplexArray:
-    plant = settings.levitated()
+    plant = settings.suspension()
     return stiffness_matrix(plant.loop, plant.negative_stiffness, omega)
 
 

@@ -14,14 +14,14 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.magnetic_bearing import sensitivity, stability
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, growing
 from labpipe.methods.magnetic_bearing.limits import (
-    CertificateSettings,
     Limit,
-    below,
+    LoopCertificateSettings,
     cause_of,
     probabilities,
+    probability_below,
     recorded_loop,
     sound,
-    undecided,
+    undecided_limits,
     verdict_of,
     words,
 )
@@ -38,7 +38,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
-from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.comparison import Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Budget, Uncertainty
@@ -108,13 +108,13 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     the unknowns' errors. Equation (comp-closed-loop).
     """
     values = fit.values()
-    plant = with_unknowns(file, values).levitated()
+    plant = with_unknowns(file, values).suspension()
     all_poles = loop_poles(plant, rate)
     unstable = stability.unstable_poles(plant) if rate is None else int(np.sum(all_poles.real > 0))
     poles = modes_of(all_poles, highest_mode)
 
     def at(changed: Mapping[str, float]) -> dict[str, float]:
-        other = with_unknowns(file, changed).levitated()
+        other = with_unknowns(file, changed).suspension()
         others = loop_poles(other, rate)
         near = np.array([others[np.argmin(np.abs(others - pole))] for pole in poles], np.complex128)
         return loop_amounts(other, rate, near, unstable == 0)
@@ -219,7 +219,7 @@ def certificate(
         amounts += of_loop
         budgets.append(budget)
     amounts += probabilities(limits)
-    unsure = undecided(limits)
+    unsure = undecided_limits(limits)
     verdict = verdict_of(limits, own.confidence)
     parts = [limit.sentence[0].upper() + limit.sentence[1:] for limit in limits]
     parts.append(f"measured without a model: |S| up to {worst.value:.3g} at {worst.frequency:.4g} Hz")
@@ -248,7 +248,7 @@ def certificate(
 
 
 @dataclass(frozen=True)
-class FittedModel:
+class FittedBearing:
     """A bearing *file* beside what was recorded: its *fit*, the closed *loop*, None where the fit has no
     intervals. rejected: why nothing is decided by it, empty where it is sound. rate [Hz] of sampling, None in
     continuous time. left_out: signals that the controller computes from, or makes of, the others.
@@ -274,8 +274,8 @@ OF_LOOP = (
 )
 
 
-def resolve(settings: CompareSettings) -> CertificateSettings:
-    certificate: CertificateSettings = settings.kind_settings
+def resolve(settings: CompareSettings) -> LoopCertificateSettings:
+    certificate: LoopCertificateSettings = settings.kind_settings
     twice = {"before", "after"}.intersection(settings.written)
     if twice and (certificate.before or certificate.after):
         what = "the points of a loop are named in the comparison and in its section `certificate`"
@@ -315,11 +315,11 @@ def _measured_amounts(
 
 def _fit(
     settings: CompareSettings,
-    acceptance: CertificateSettings,
+    acceptance: LoopCertificateSettings,
     response: FrequencyResponse,
     matrix: sensitivity.SensitivityMatrix,
     file: MagneticFile,
-) -> FittedModel:
+) -> FittedBearing:
     if len(matrix.loops) != 1:
         hint = "leave theory out, or certify one loop at a time"
         raise ConfigError("a bearing file describes one loop", hint=hint)
@@ -341,7 +341,7 @@ def _fit(
         rejected = f"{_why_rejected(fit)}; {cause or check}"
     elif loop is not None and loop.unstable:
         rejected = f"the fitted loop is unstable, {growing(loop.unstable)}, so it cannot be the recorded one"
-    return FittedModel(file, fit, loop, rejected, rate, observation.left_out)
+    return FittedBearing(file, fit, loop, rejected, rate, observation.left_out)
 
 
 def _why_rejected(fit: LoopFit) -> str:
@@ -351,13 +351,17 @@ def _why_rejected(fit: LoopFit) -> str:
     return "the fit did not converge" if fit.determined else f"{' and '.join(fit.alike)} cannot be told apart"
 
 
-def _zone_limit(acceptance: CertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None) -> Limit:
+def _zone_limit(
+    acceptance: LoopCertificateSettings, worst: sensitivity.Peak, loop: ClosedLoop | None
+) -> Limit:
     """Probability that the peak of |S| lies within the demanded zone, by its logarithm."""
     peak, error, whose = worst.value, worst.combined, "measured"
     if loop is not None and "sensitivity_peak" in loop.amounts:
         peak, error = loop.amounts["sensitivity_peak"], loop.error("sensitivity_peak")
         whose = "of the fitted loop"
-    probability = below(np.log(peak), error / peak, np.log(dict(stability.ZONES)[acceptance.zone]))
+    probability = probability_below(
+        np.log(peak), error / peak, np.log(dict(stability.ZONES)[acceptance.zone])
+    )
     zone = f"zone {stability.zone_of(peak)} of ISO 14839-3 (peak {peak:.3g} {whose})"
     if worst.at_edge and whose == "measured" and probability > 1 - acceptance.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
@@ -365,7 +369,7 @@ def _zone_limit(acceptance: CertificateSettings, worst: sensitivity.Peak, loop: 
     return Limit("zone", probability, f"{zone}; zone {acceptance.zone} or better with {words(probability)}")
 
 
-def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None) -> list[Limit]:
+def _decrement_limits(acceptance: LoopCertificateSettings, model: FittedBearing | None) -> list[Limit]:
     if model is None and acceptance.log_decrement is None:
         return []
     why = "a decrement needs a model, theory: {bearing: FILE}" if model is None else model.rejected
@@ -376,7 +380,9 @@ def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None
     if not loop.modes():
         return [Limit("log_decrement", 1.0, "no mode swings: no log decrement to keep")]
     least = min(loop.modes(), key=loop.amounts.__getitem__)
-    probability = min(below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes())
+    probability = min(
+        probability_below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes()
+    )
     of_mode = f"log decrement {loop.amounts[least]:.3g} of mode {least.rpartition('_')[2]}"
     return [Limit("log_decrement", probability, f"{of_mode}; above {limit:g} with {words(probability)}")]
 
@@ -384,11 +390,11 @@ def _decrement_limits(acceptance: CertificateSettings, model: FittedModel | None
 def _curves(
     matrix: sensitivity.SensitivityMatrix,
     loops: Sequence[sensitivity.MeasuredSensitivity],
-    model: FittedModel | None,
-) -> tuple[Curve, ...]:
+    model: FittedBearing | None,
+) -> tuple[QuantityCurve, ...]:
     curves, frequency, fitted = [], matrix.response.frequency, np.empty(0)
     if model is not None and model.loop is not None:
-        plant = with_unknowns(model.file, model.fit.values()).levitated()
+        plant = with_unknowns(model.file, model.fit.values()).suspension()
         fitted = np.abs(stability.open_loop(plant, 2 * np.pi * frequency, model.rate).sensitivity)
     several = len(loops) > 1
     sizes = [
@@ -410,7 +416,7 @@ def _curves(
     return tuple(curves)
 
 
-def _findings(worst: sensitivity.Peak, model: FittedModel | None) -> tuple[Finding, ...]:
+def _findings(worst: sensitivity.Peak, model: FittedBearing | None) -> tuple[Finding, ...]:
     findings = worst.findings()
     if model is None:
         return tuple(findings)

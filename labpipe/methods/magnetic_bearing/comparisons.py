@@ -12,7 +12,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.certificate import certificate, resolve
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings, decrement_certificate
+from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings, decrement_certificate
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_fit import (
     LoopFit,
@@ -21,9 +21,9 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.sensitivity import curve_of, loop_sensitivity, per_injection
+from labpipe.methods.magnetic_bearing.sensitivity import curve_of, loop_sensitivity, response_per_injection
 from labpipe.project.bearing_file import open_bearing
-from labpipe.records.comparison import ComparedBand, Comparison, Curve
+from labpipe.records.comparison import ComparedBand, Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
@@ -133,7 +133,7 @@ def _share(bands: Sequence[ComparedBand], name: str) -> float:
 
 
 def _stability(views: Sequence[loop_problem.View]) -> list[Parameter]:
-    verdicts = [verdict(view.file.levitated()) for view in views]
+    verdicts = [verdict(view.file.suspension()) for view in views]
     peaks = [stability.peak.value for stability in verdicts if not stability.unstable]
     most = float(max(stability.unstable for stability in verdicts))
     amounts = {"unstable_poles": most} | ({"sensitivity_peak": max(peaks)} if peaks else {})
@@ -143,7 +143,7 @@ def _stability(views: Sequence[loop_problem.View]) -> list[Parameter]:
 def _unstable(views: Sequence[loop_problem.View]) -> list[Finding]:
     findings = []
     for view in views:
-        plant = view.file.levitated()
+        plant = view.file.suspension()
         of_test = f"test {view.test}: " if view.test else ""
         prefix = f"{of_test}prediction for the {plant.mass:g} kg of the bearing file: "
         for finding in stability_findings(verdict(plant)):
@@ -163,7 +163,7 @@ def _statement(
     shares = " and ".join(f"{name} in {sum(holds)} of {len(holds)}" for name, holds in held.items())
     sentences = [f"The 95 % interval of the bands holds the predicted {shares} bands: {word}."]
     if word == "unstable":
-        growing = (view.test for view in views if verdict(view.file.levitated()).unstable)
+        growing = (view.test for view in views if verdict(view.file.suspension()).unstable)
         tests = ", ".join(test or "the test" for test in growing)
         what = f"The loop as stated is unstable on the mass of the bearing file ({tests})"
         sentences.append(f"{what}, whatever the bands show.")
@@ -174,13 +174,13 @@ def _statement(
     return " ".join(sentences)
 
 
-def _curves(view: loop_problem.View, changed: MagneticFile | None) -> Iterator[Curve]:
+def _curves(view: loop_problem.View, changed: MagneticFile | None) -> Iterator[QuantityCurve]:
     """k and c over frequency of the bearing file, and of it with the fitted unknowns."""
     omega = view.measured.omega
     courses = {}
     for name, file in (("theory", view.file), ("matched", changed)):
         if file is not None:
-            plant = file.levitated()
+            plant = file.suspension()
             courses[name] = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     for letter, unit in zip(LETTERS, ("N/m", "N.s/m"), strict=True):
         parts = {name: h.real if letter == "k" else h.imag / omega for name, h in courses.items()}
@@ -251,7 +251,7 @@ def certificate_of_test(settings: CompareSettings, evidence: Evidence) -> Compar
         wanted = f"no test '{chosen.test}'" if chosen.test else "one test is needed"
         hint = "one comparison per test, certificate: {test: NAME}"
         raise ConfigError(f"a certificate is that of one loop: {wanted} among {names}", hint=hint)
-    response = tests[0] if isinstance(tests[0], FrequencyResponse) else per_injection(tests[0])
+    response = tests[0] if isinstance(tests[0], FrequencyResponse) else response_per_injection(tests[0])
     comparison = certificate(settings, response, _file_of(settings, evidence))
     outputs = [port for port in response.outputs if port.label in chosen.recorded]
     return _with_directions_left_out(comparison, [*outputs, *(() if chosen.before else response.inputs)])
@@ -280,5 +280,5 @@ CERTIFICATE = ComparisonKind(
     keys=("fit", "before", "after", "theory", "estimate"),
     loop=True,
     section="certificate",
-    settings=CertificateSettings,
+    settings=LoopCertificateSettings,
 )

@@ -21,7 +21,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, inflation_factors
 from labpipe.estimation.weights import has_noise, weight_uncertainty
 from labpipe.methods.floating_bearing.findings import BalanceError, BalanceMisfit, balance_error, few_averages
-from labpipe.methods.floating_bearing.values import balance_fit, budgeted, plain_values
+from labpipe.methods.floating_bearing.values import add_budget, balance_fit, plain_values
 from labpipe.methods.magnetic_bearing import balance, likelihood
 from labpipe.methods.magnetic_bearing.settings import AUTO, ORDERS, BlockSettings, MagnetSettings
 from labpipe.records.finding import Finding, Parameter
@@ -115,7 +115,7 @@ def remedy(_group: Sequence[str]) -> str:
     )
 
 
-def magnet_error(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> BalanceError:
+def magnet_error(rotor: balance.LevitationBalance, best: likelihood.MagnetEstimate) -> BalanceError:
     """The covariance of noise and, where the rotor is not rigid on its magnets, of what that leaves."""
     model, omega, n = best.model, rotor.omega, rotor.n_axis
     rows, state = model.rows(best.values, omega), likelihood.MagnetLikelihood(rotor, model).at(best.values)
@@ -154,7 +154,7 @@ def sign_findings(model: balance.MagnetModel, parameters: Sequence[Parameter]) -
 
 
 def fit_notes(
-    rotor: balance.Levitation,
+    rotor: balance.LevitationBalance,
     best: likelihood.MagnetEstimate,
     parameters: Sequence[Parameter],
     uncertainties: Uncertainties,
@@ -176,7 +176,9 @@ def fit_notes(
             f"magnet: force from current and displacement as a channel of the rig file: {{sum: {{{terms}}}, "
             "quantity: force}."
         )
-    plain = zip(best.model.names, likelihood.unweighted(rotor, best.model), best.model.units, strict=True)
+    plain = zip(
+        best.model.names, likelihood.unweighted_values(rotor, best.model), best.model.units, strict=True
+    )
     listed = ", ".join(
         f"{name} {number(float(value))} {unit}" for name, value, unit in plain if not name.startswith("c")
     )
@@ -192,12 +194,12 @@ def fit_notes(
     return tuple(notes)
 
 
-def _channels(rotor: balance.Levitation) -> list[Channel]:
+def _channels(rotor: balance.LevitationBalance) -> list[Channel]:
     """Of every current, then of every displacement, the channel or the first of those that give it."""
     return [rotor.spectra.channels[int(np.flatnonzero(row)[0])] for row in rotor.to_axes]
 
 
-def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCurve | None:
+def draw(rotor: balance.LevitationBalance, best: likelihood.MagnetEstimate) -> FittedCurve | None:
     """Displacement per current, X I^-1 of the runs, against the model; none where a line has too few runs."""
     axes, n = rotor.axes, rotor.n_axis
     currents, motions = (part.swapaxes(-1, -2) for part in (axes[..., :n], axes[..., n:]))
@@ -219,7 +221,7 @@ def draw(rotor: balance.Levitation, best: likelihood.MagnetEstimate) -> FittedCu
     )
 
 
-def _variance(rotor: balance.Levitation, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
+def _variance(rotor: balance.LevitationBalance, measured: ComplexArray, inverse: ComplexArray) -> FloatArray:
     """E|d(X I^-1)|^2 (n_line, n, n) [(m/A)^2]: [-G, 1] C_z [-G, 1]^H of each run by its part in I^-1."""
     n = rotor.n_axis
     covariance = rotor.to_axes @ rotor.covariance @ rotor.to_axes.T
@@ -253,9 +255,9 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
     whole = error.covariance + systematic(best.uncertainties, best.values.size)
     vifs, covariances = inflation_factors(best.design), (best.covariance, whole)
     valued = plain_values(model.names, model.units, best.values, covariances, best.dof, vifs)
-    parameters, budget = budgeted(valued, best.uncertainties, best.dof)
+    parameters, budget = add_budget(valued, best.uncertainties, best.dof)
     band = band or (float(rotor.omega[0] / (2 * np.pi)), float(rotor.omega[-1] / (2 * np.pi)))
-    gof, shown = _goodness(rotor, model, best), error.named(parameters)
+    gof, shown = _goodness(rotor, model, best), error.name_reason(parameters)
     fit = balance_fit(settings, best, gof, best.amplification, shown, band, rotor.omega.size, remedy)
     findings = (
         *fit.findings,
@@ -279,7 +281,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
 
 
 def _uncertainties_of_mass(
-    rotor: balance.Levitation, settings: FitSettings, mass: FloatArray | float
+    rotor: balance.LevitationBalance, settings: FitSettings, mass: FloatArray | float
 ) -> list[tuple[Uncertainty, FloatArray]]:
     """Uncertainties of mass and inertia with their change (n, n) [kg] by one standard deviation."""
     magnets: MagnetSettings = settings.model_settings
@@ -302,7 +304,7 @@ def _uncertainties_of_mass(
 
 
 def _goodness(
-    rotor: balance.Levitation, model: balance.MagnetModel, best: likelihood.MagnetEstimate
+    rotor: balance.LevitationBalance, model: balance.MagnetModel, best: likelihood.MagnetEstimate
 ) -> Goodness:
     axes, n = rotor.axes, rotor.n_axis
     inertia = rotor.omega[:, None, None] ** 2 * (axes[..., n:] @ rotor.mass.T)
@@ -346,7 +348,7 @@ class Block:
             total = total / (1 + 2 * rest[1] * s / natural + (s / natural) ** 2)
         return total
 
-    def reported(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def report(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Parameters (n,) [their units] and their slopes (n,) over the values."""
         shown = np.exp(values)
         shown[0] *= self.sign
@@ -355,7 +357,7 @@ class Block:
         return shown, slopes
 
 
-class _Problem(SquareSum):
+class _BlockProblem(SquareSum):
     def __init__(self, measured: Measured, block: Block) -> None:
         assert measured.covariance is not None
         self.block, self.omega, self.matrix = block, measured.omega, measured.matrix[:, 0, 0]
@@ -407,7 +409,7 @@ def block_fits(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit,
     return tuple(fits)
 
 
-def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | None:
+def _most_likely(measured: Measured, order: int) -> tuple[_BlockProblem, Minimum] | None:
     response, omega = measured.matrix[:, 0, 0], measured.omega
     highest, level = float(omega[-1]), float(np.log(np.abs(response[0])))
     # A delay turns the phase of the lowest line as well: the sign by the phase there, and by its course.
@@ -415,7 +417,7 @@ def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | N
     begun = ((float(np.sign(response[0].real)) or 1.0, 0.0), (float(np.copysign(1, np.cos(at_rest))), -slope))
     ends = []
     for sign, delay in begun:
-        problem = _Problem(measured, Block(order, sign, highest))
+        problem = _BlockProblem(measured, Block(order, sign, highest))
         for share in CORNERS if order else (1.0,):
             corner = np.log(share * highest / (2 * np.pi))
             shape = [[], [corner], [corner, np.log(DAMPING)], [corner, corner, np.log(DAMPING)]][order]
@@ -425,7 +427,7 @@ def _most_likely(measured: Measured, order: int) -> tuple[_Problem, Minimum] | N
     return min(ends, key=lambda pair: pair[0].chi2(pair[1].values), default=None)
 
 
-def _candidate(measured: Measured, problem: _Problem, minimum: Minimum) -> Candidate:
+def _candidate(measured: Measured, problem: _BlockProblem, minimum: Minimum) -> Candidate:
     n = minimum.values.size
     dof = measured.n_equation - n
     uncertainty = weight_uncertainty(measured, dof)
@@ -440,7 +442,7 @@ def _report(
     response: FrequencyResponse,
     settings: FitSettings,
     best: Candidate,
-    end: tuple[_Problem, Minimum],
+    end: tuple[_BlockProblem, Minimum],
 ) -> Fit:
     problem, minimum = end
     jacobian = problem.jacobian(minimum.values)
@@ -448,7 +450,7 @@ def _report(
     assert best.chi2_p is not None
     factor = float(np.sqrt(best.chi2 / best.dof)) if best.chi2_p < MISMATCH_P else 1.0
     design = triangle_of(jacobian)
-    values, slopes = problem.block.reported(minimum.values)
+    values, slopes = problem.block.report(minimum.values)
     fitted = problem.block.response(minimum.values, measured.omega)[:, None, None]
     r2, adjusted = determination(measured.matrix, measured.matrix - fitted, values.size)
     gof = Goodness(r2, adjusted, best.chi2 / best.dof, best.chi2_p)

@@ -20,7 +20,7 @@ from labpipe.estimation.descent import SquareSum, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.floating_bearing import likelihood
 from labpipe.methods.floating_bearing.settings import factor_errors, given_uncertainties, join, response_of
-from labpipe.methods.magnetic_bearing.balance import Levitation, MagnetModel
+from labpipe.methods.magnetic_bearing.balance import LevitationBalance, MagnetModel
 from labpipe.records.finding import Finding
 from labpipe.records.fit_details import GivenUncertainty
 from labpipe.records.uncertain import Uncertainty
@@ -46,7 +46,7 @@ class Residual:
 class MagnetLikelihood(SquareSum):
     """V of a magnet's model as a sum of squares."""
 
-    def __init__(self, rotor: Levitation, model: MagnetModel) -> None:
+    def __init__(self, rotor: LevitationBalance, model: MagnetModel) -> None:
         self.rotor, self.model = rotor, model
         self._at: tuple[bytes, Residual] | None = None
 
@@ -88,7 +88,7 @@ class MagnetLikelihood(SquareSum):
         ).T
 
 
-def residual(rotor: Levitation, rows: ComplexArray) -> Residual:
+def residual(rotor: LevitationBalance, rows: ComplexArray) -> Residual:
     """The residual of B = *rows* (n_line, n, n_channel) [N per SI unit of the channel]; LinAlgError where its
     covariance is singular. Equation (mag-likelihood).
     """
@@ -117,7 +117,7 @@ def start(problem: MagnetLikelihood) -> FloatArray:
     return min(starts, key=problem.chi2)
 
 
-def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, ComplexArray, ComplexArray]:
+def _linear(rotor: LevitationBalance, model: MagnetModel) -> tuple[MagnetModel, ComplexArray, ComplexArray]:
     """The model of smooth currents, its forces by parameter (n, n_line, n_run, n_axis), the free rotor's."""
     smooth = MagnetModel(model.names, model.places, model.mass)
     none = np.zeros(len(model.names))
@@ -126,7 +126,7 @@ def _linear(rotor: Levitation, model: MagnetModel) -> tuple[MagnetModel, Complex
     return smooth, np.einsum("plac,lrc->plra", slopes, rotor.channels), free[..., 0]
 
 
-def unweighted(rotor: Levitation, model: MagnetModel) -> FloatArray:
+def unweighted_values(rotor: LevitationBalance, model: MagnetModel) -> FloatArray:
     """Values (n_parameter,) [parameter units] of least squares that takes all channels for free of noise."""
     return _least_squares(*_linear(rotor, model)[1:])
 
@@ -153,7 +153,7 @@ class MagnetEstimate(likelihood.BalanceEstimate[MagnetModel]):
 
 
 def magnet_estimate(
-    rotor: Levitation, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()
+    rotor: LevitationBalance, model: MagnetModel, given: Sequence[tuple[Uncertainty, FloatArray]] = ()
 ) -> MagnetEstimate:
     """The most likely parameters; *given*: uncertainties of the mass matrix with its change (n, n) [kg] by
     one standard deviation.
@@ -172,7 +172,7 @@ def magnet_estimate(
     except np.linalg.LinAlgError:
         hint = "leave out lines without noise"
         raise FitError("the covariance of the channels is singular on a line", hint=hint) from None
-    state, errors = problem.at(best.values), errors_by_given(problem, best.values, given)
+    state, errors = problem.at(best.values), changes_by_given(problem, best.values, given)
     changes = state.whiten(np.stack([error for _, error in errors])) if errors else None
     minimum, _ = likelihood.minimum_of(problem, best, noise, n_equation - n, changes)
     respond = response_of(state.whiten, problem.jacobian(best.values))
@@ -181,7 +181,7 @@ def magnet_estimate(
     return MagnetEstimate(model, *minimum, uncertainties, amplification)
 
 
-def errors_by_given(
+def changes_by_given(
     problem: MagnetLikelihood, values: FloatArray, given: Sequence[tuple[Uncertainty, FloatArray]]
 ) -> list[tuple[Uncertainty, ComplexArray]]:
     """Changes (n_line, n_run, n) [N] of the residual by one standard deviation of each source."""
@@ -201,7 +201,7 @@ class LateLikelihood(MagnetLikelihood):
     parameters: their spectra count as z exp(j w tau).
     """
 
-    def __init__(self, rotor: Levitation, model: MagnetModel, late: BoolArray) -> None:
+    def __init__(self, rotor: LevitationBalance, model: MagnetModel, late: BoolArray) -> None:
         super().__init__(rotor, model)
         self._late = late
 
@@ -240,7 +240,7 @@ class LateLikelihood(MagnetLikelihood):
         return best
 
 
-def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
+def late_findings(rotor: LevitationBalance, best: MagnetEstimate) -> list[Finding]:
     """A finding where one channel, or all readings, recorded later or earlier explain a residual that is far
     from noise. Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
     """
@@ -257,7 +257,7 @@ def late_findings(rotor: Levitation, best: MagnetEstimate) -> list[Finding]:
     return [finding for _, finding in explained[:1]]
 
 
-def _may_be_late(rotor: Levitation) -> list[tuple[str, BoolArray]]:
+def _may_be_late(rotor: LevitationBalance) -> list[tuple[str, BoolArray]]:
     """Name and channels (n_channel,) of what may be late; of one axis its reading only."""
     n, used = rotor.n_axis, np.any(rotor.to_axes != 0, axis=0)
     readings = np.any(rotor.to_axes[n:] != 0, axis=0)

@@ -34,7 +34,7 @@ LEAST_DECREMENT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class CertificateSettings(Settings):
+class LoopCertificateSettings(Settings):
     """What was recorded of the loop, how it is sampled, and the limits of acceptance."""
 
     before: tuple[str, ...] = setting(
@@ -104,7 +104,7 @@ class Limit:
     why: str = ""
 
 
-def below(value: float, error: float, limit: float) -> float:
+def probability_below(value: float, error: float, limit: float) -> float:
     """Probability that the truth of a normal estimate lies below a limit. Equation (mag-limit)."""
     if error <= 0:
         return float(value < limit)
@@ -132,7 +132,7 @@ def probabilities(limits: Sequence[Limit]) -> list[Parameter]:
     return [Parameter(f"probability_{name}", probability, "1", derived=True) for name, probability in judged]
 
 
-def undecided(limits: Sequence[Limit]) -> list[tuple[str, str]]:
+def undecided_limits(limits: Sequence[Limit]) -> list[tuple[str, str]]:
     """The probabilities that are not known, and the verdict that rests on them, with the reason."""
     unjudged = [limit for limit in limits if limit.probability is None]
     reasons = "; ".join(dict.fromkeys(limit.why for limit in unjudged))
@@ -147,7 +147,7 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
     """The probability that every mode of the fits has its decrement; ConfigError for fits without damping
     ratios, and for what is of a loop. Equation (comp-decrement).
     """
-    acceptance: CertificateSettings = settings.kind_settings
+    acceptance: LoopCertificateSettings = settings.kind_settings
     why, hint = f"the fit '{settings.fit}' is judged by its decrements", "leave it out, or `fit`"
     acceptance.check_written(("test", "log_decrement", "confidence"), why, hint)
     for key in settings.written:
@@ -179,7 +179,7 @@ def decrement_certificate(settings: CompareSettings, fits: Sequence[Fit]) -> Com
         amounts=(*amounts, *probabilities(limits)),
         verdict=verdict,
         statement=f"{verdict.capitalize()}: {limits[0].sentence}.",
-        undecided=tuple(undecided(limits)),
+        undecided=tuple(undecided_limits(limits)),
     )
 
 
@@ -202,12 +202,14 @@ def _decrements(fit: Fit, end: str) -> list[Parameter]:
     """2 pi z / sqrt(1 - z^2) of every damping ratio with its interval, or the fit's own decrements."""
     given = [parameter for parameter in fit.parameters if parameter.name.startswith(DECREMENT)]
     decrements = given or [
-        _of_ratio(parameter) for parameter in fit.parameters if parameter.name.partition("_")[0] == RATIO
+        _decrement_of_ratio(parameter)
+        for parameter in fit.parameters
+        if parameter.name.partition("_")[0] == RATIO
     ]
     return [replace(parameter, name=parameter.name + end) for parameter in decrements]
 
 
-def _of_ratio(ratio: Parameter) -> Parameter:
+def _decrement_of_ratio(ratio: Parameter) -> Parameter:
     """The decrement of a damping ratio; infinite to either side of a mode that does not swing, |z| >= 1."""
     name = DECREMENT + ratio.name.removeprefix(RATIO)
     if not abs(ratio.value) < 1:
@@ -225,13 +227,15 @@ def _decrement(ratio: float) -> float:
     return float(2 * np.pi * ratio / np.sqrt(1 - ratio**2))
 
 
-def _limit(acceptance: CertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
+def _limit(acceptance: LoopCertificateSettings, amounts: Sequence[Parameter], why: str) -> Limit:
     least = min(amounts, key=lambda amount: amount.value)
     limit = acceptance.least_decrement
     text = f"log decrement {least.value:.3g} ({least.name}) is the least; above {limit:g}"
     if why:
         return Limit(DECREMENT, None, f"{text} not judged, since {why}", why)
-    probability = min(below(-amount.value, amount.full_error or 0.0, -limit) for amount in amounts)
+    probability = min(
+        probability_below(-amount.value, amount.full_error or 0.0, -limit) for amount in amounts
+    )
     return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
 
 
@@ -245,7 +249,7 @@ FITTED_CAUSES = 4
 
 
 def recorded_loop(
-    acceptance: CertificateSettings,
+    acceptance: LoopCertificateSettings,
     response: FrequencyResponse,
     file: MagneticFile,
     estimate: Sequence[str] = (),
@@ -266,7 +270,7 @@ def recorded_loop(
     lines = np.ones(response.frequency.size, bool)
     loop = replace(response, form="receptance")
     measured = measured_part(loop, list(signals.values()), [0], lines)
-    computed = _computed(acceptance, measured, list(signals), file, estimate)
+    computed = _computed_signals(acceptance, measured, list(signals), file, estimate)
     if computed:
         signals = {signal: row for signal, row in signals.items() if signal not in computed}
         measured = measured_part(loop, list(signals.values()), [0], lines)
@@ -281,8 +285,8 @@ def recorded_loop(
         raise FitError(f"{what}: {why}", hint="leave one out: `after` alone, where the excitation is exact")
     weights = np.linalg.inv(measured.covariance)
 
-    def per_added(changed: MagneticFile) -> ComplexArray:
-        loop = open_loop(changed.levitated(), measured.omega, rate, acceptance.filtered)
+    def change_per_added(changed: MagneticFile) -> ComplexArray:
+        loop = open_loop(changed.suspension(), measured.omega, rate, acceptance.filtered)
         predicted = loop.signals(acceptance.injection)
         return np.stack([predicted[name] for name in signals], axis=1)
 
@@ -293,7 +297,7 @@ def recorded_loop(
         return per * added[:, None]
 
     def predict(changed: MagneticFile, _: tuple[float, float]) -> ComplexArray:
-        per = per_added(changed)
+        per = change_per_added(changed)
         return (along(per, measured.matrix[:, :, 0]) if acceptance.before else per)[:, :, None]
 
     def errors(changed: MagneticFile, support: tuple[float, float]) -> Sequence[MatrixError]:
@@ -302,7 +306,7 @@ def recorded_loop(
         uncertainties = matrix_errors(_prediction_of(measured, predict(changed, support)))
         if not acceptance.before:
             return uncertainties
-        per = per_added(changed)
+        per = change_per_added(changed)
         return [
             replace(error, change=error.change - along(per, error.change[:, :, 0])[:, :, None])
             for error in uncertainties
@@ -326,8 +330,8 @@ def _prediction_of(measured: Measured, predicted: ComplexArray) -> Measured:
 
 # As in a fit, magnets may outgrow all numbers.
 @np.errstate(over="ignore", invalid="ignore")
-def _computed(
-    acceptance: CertificateSettings,
+def _computed_signals(
+    acceptance: LoopCertificateSettings,
     measured: Measured,
     signals: list[str],
     file: MagneticFile,
@@ -340,7 +344,7 @@ def _computed(
     assert measured.covariance is not None
     moved = with_unknowns(file, {name: 1.01 * unknown(file, name).value for name in estimate})
     rate = acceptance.rate or file.loop.rate
-    loop, other = (open_loop(each.levitated(), measured.omega, rate) for each in (file, moved))
+    loop, other = (open_loop(each.suspension(), measured.omega, rate) for each in (file, moved))
     if acceptance.filtered or loop.sensor != other.sensor or np.any(loop.controller != other.controller):
         return []
     sensor = np.full_like(loop.controller, loop.sensor)
@@ -362,7 +366,10 @@ def _computed(
 
 
 def cause_of(
-    acceptance: CertificateSettings, response: FrequencyResponse, file: MagneticFile, estimate: Sequence[str]
+    acceptance: LoopCertificateSettings,
+    response: FrequencyResponse,
+    file: MagneticFile,
+    estimate: Sequence[str],
 ) -> str:
     """The one change of sign, power of ten or place of injection with which the fit is good, or empty."""
     changes = []
@@ -383,8 +390,8 @@ def sound(fit: LoopFit) -> bool:
 
 
 def _changes(
-    acceptance: CertificateSettings, response: FrequencyResponse
-) -> Iterator[tuple[str, CertificateSettings, FrequencyResponse]]:
+    acceptance: LoopCertificateSettings, response: FrequencyResponse
+) -> Iterator[tuple[str, LoopCertificateSettings, FrequencyResponse]]:
     place = INPUT if acceptance.injection == OUTPUT else OUTPUT
     yield f"with injection: {place}", replace(acceptance, injection=place), response
     signals = list(dict.fromkeys(acceptance.recorded))

@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
-from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, in_series, rate_of
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, CrossControl, connect_series, rate_of
 from labpipe.records.settings import Settings, quantity, section, setting
 
 # Entries of the PID, which a controller of blocks takes the place of.
@@ -82,7 +82,7 @@ class ControlLoop(Settings):
         """G(0) [1] of x by x, k_p + k_i of the PID; infinite for an integrator."""
         if not self.controller:
             return self.proportional + self.lag
-        continuous, discrete = in_series(self.controller)
+        continuous, discrete = connect_series(self.controller)
         return continuous.at_rest * discrete.at_rest
 
     @property
@@ -95,7 +95,7 @@ class ControlLoop(Settings):
 def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexArray]:
     """The three terms of the PID by name at *omega* [rad/s], (n_line,) [1] each; of blocks the one."""
     if loop.controller:
-        return {"controller": _in_series(loop.controller, omega)}
+        return {"controller": _multiply_blocks(loop.controller, omega)}
     s = 1j * omega
     return {
         "proportional": np.full(omega.shape, loop.proportional, np.complex128),
@@ -104,8 +104,8 @@ def controller_terms(loop: ControlLoop, omega: FloatArray) -> dict[str, ComplexA
     }
 
 
-def _in_series(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> ComplexArray:
-    continuous, discrete = in_series(blocks)
+def _multiply_blocks(blocks: tuple[ControllerBlock, ...], omega: FloatArray) -> ComplexArray:
+    continuous, discrete = connect_series(blocks)
     return continuous.response(omega) * discrete.response(omega)
 
 
@@ -135,7 +135,7 @@ def controller_matrix(loop: ControlLoop, omega: FloatArray) -> ComplexArray:
         chain = np.prod(list(chain_factors(loop, omega).values()), axis=0)
         for row, column in ((0, 1), (1, 0), (1, 1)):
             blocks = loop.blocks("xy"[row], "xy"[column])
-            matrix[:, row, column] = chain * _in_series(blocks, omega) if blocks else 0.0
+            matrix[:, row, column] = chain * _multiply_blocks(blocks, omega) if blocks else 0.0
     return matrix
 
 

@@ -11,7 +11,7 @@ from labpipe.arrays import BoolArray, FloatArray
 from labpipe.display import chance_text
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.causes import stated_findings
-from labpipe.estimation.descent import Minimum, linearised, minimise
+from labpipe.estimation.descent import Minimum, linearise_problem, minimise
 from labpipe.estimation.diagnostics import COLLINEAR_CONDITION, MISMATCH_P
 from labpipe.estimation.statistics import SAYS_NOTHING, Pulls, correlation, steps_by, student_limit
 from labpipe.estimation.weights import has_noise, weight_uncertainty
@@ -149,7 +149,7 @@ class LoopMinimum:
         """Covariance (n_parameter, n_parameter) [1] of u by noise, its weights *inflation* too light."""
         return inflation * (self.inverse - self.steps.T @ self.steps)
 
-    def combined(self, inflation: float) -> FloatArray:
+    def combined_covariance(self, inflation: float) -> FloatArray:
         """Covariance (n_parameter, n_parameter) [1] of u by noise and by all sources."""
         return self.random(inflation) + self.steps.T @ self.steps
 
@@ -171,19 +171,19 @@ class LoopMinimum:
         """
         here: LoopMinimum = self
         for _ in range(MOST_STEPS):
-            covariance = here.combined(inflation)
+            covariance = here.combined_covariance(inflation)
             error = float(np.sqrt(covariance[column, column]))
             move = (
                 steps_by(here.residual[None], here.jacobian, here.inverse)[0]
                 + distance * covariance[:, column] / error
             )
-            there = here.moved(move)
+            there = here.move(move)
             if there is None or abs(there.u[column] - here.u[column]) < CLOSE * error:
                 return here, True
             here = there
         return here, False
 
-    def moved(self, move: FloatArray) -> LoopMinimum | None:
+    def move(self, move: FloatArray) -> LoopMinimum | None:
         """The problem *move* (n_parameter,) [1] away, as much of it as is possible."""
         for halving in range(MOST_HALVINGS):
             try:
@@ -276,7 +276,7 @@ def loop_fit(observations: Sequence[LoopObservation], names: Sequence[str]) -> L
     start = problem.start
     if not np.isfinite(problem.chi2(start)):
         raise FitError("the loop outgrows all numbers", hint="check negative_stiffness and mass")
-    if start.size and not _without_influence(problem, problem.jacobian(start)):
+    if start.size and not _find_without_influence(problem, problem.jacobian(start)):
         return _loop_fit(problem, _settle(problem, along_the_edge(problem, minimise(problem, start))))
     # An unknown without influence on the response has no gradient.
     free = np.arange(start.size) >= len(unknowns)
@@ -289,12 +289,12 @@ def _settle(problem: LoopProblem, minimum: Minimum) -> Minimum:
     """
     if minimum.converged:
         return minimum
-    linear = linearised(problem, minimum.values)
+    linear = linearise_problem(problem, minimum.values)
     left = float(np.linalg.norm(linear.projected)) / np.sqrt(linear.chi2 / linear.n_equation)
     return Minimum(minimum.values, left < SETTLED, minimum.steps)
 
 
-def _without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
+def _find_without_influence(problem: LoopProblem, jacobian: FloatArray) -> tuple[str, ...]:
     lengths = np.linalg.norm(jacobian, axis=0)
     return tuple(
         entry.name for entry, length in zip(problem.unknowns, lengths, strict=False) if not length > 0
@@ -339,7 +339,7 @@ def _loop_fit(problem: LoopProblem, minimum: Minimum) -> LoopFit:
 
 
 def _identifiable(problem: LoopProblem, jacobian: FloatArray) -> tuple[float, tuple[str, ...]]:
-    idle = _without_influence(problem, jacobian)
+    idle = _find_without_influence(problem, jacobian)
     if idle or not problem.unknowns:
         return float("inf") if idle else 1.0, idle
     _, singular, turn = np.linalg.svd(jacobian / np.linalg.norm(jacobian, axis=0), full_matrices=False)
@@ -354,7 +354,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     problem = at_end.problem
     n, values = len(problem.unknowns), np.array([entry.value for entry in problem.unknowns])
     random, steps = at_end.random(inflation), at_end.steps
-    whole = at_end.combined(inflation)
+    whole = at_end.combined_covariance(inflation)
     covariance = np.outer(values, values) * random[:n, :n]
     limit = student_limit(dof)
     plain = [

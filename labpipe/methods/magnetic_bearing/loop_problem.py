@@ -23,7 +23,7 @@ from labpipe.estimation.measured import (
     turn,
 )
 from labpipe.estimation.settings import MODELS, FitSettings, Support, model_kind
-from labpipe.estimation.weights import whitened, whitener
+from labpipe.estimation.weights import whiten_values, whitener
 from labpipe.methods.magnetic_bearing.bearing import Magnet, MagneticFile
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock
@@ -54,7 +54,7 @@ _BLOCK_ENTRIES = _units(ControllerBlock)
 
 
 @dataclass(frozen=True)
-class Unknown:
+class LoopUnknown:
     """An entry of the file to be fitted: its *name* as written, *value* in the file and *unit* [SI]."""
 
     name: str
@@ -84,12 +84,12 @@ def _place(file: MagneticFile, name: str) -> tuple[str, str, str]:
     )
 
 
-def unknown(file: MagneticFile, name: str) -> Unknown:
+def unknown(file: MagneticFile, name: str) -> LoopUnknown:
     """The unknown of that name; ConfigError where the file has no such entry, or zero as a start value."""
     section, field, unit = _place(file, name)
     value: float | None
     if section == "" and field != "static_stiffness":
-        plant = file.levitated()
+        plant = file.suspension()
         value = getattr(plant.loop if field == "force_per_current" else plant, field)
     else:
         owner = {"": file, "loop": file.loop, "magnet": file.magnet}.get(section)
@@ -102,7 +102,7 @@ def unknown(file: MagneticFile, name: str) -> Unknown:
     if value == 0:
         hint = "a value near the expected one is needed to start from"
         raise ConfigError(f"estimate: '{name}' is zero in the bearing file", hint=hint)
-    return Unknown(name, float(value), unit)
+    return LoopUnknown(name, float(value), unit)
 
 
 def with_unknowns(file: MagneticFile, values: Mapping[str, float]) -> MagneticFile:
@@ -179,7 +179,7 @@ class LoopProblem:
     """
 
     observations: tuple[LoopObservation, ...]
-    unknowns: tuple[Unknown, ...]
+    unknowns: tuple[LoopUnknown, ...]
     support: tuple[tuple[int, float], ...]
 
     @cached_property
@@ -190,7 +190,7 @@ class LoopProblem:
     @property
     def size(self) -> float:
         pairs = zip(self.observations, self.weights, strict=True)
-        rows = [whitened(weight, loop.measured.matrix) for loop, weight in pairs]
+        rows = [whiten_values(weight, loop.measured.matrix) for loop, weight in pairs]
         return float(np.linalg.norm(np.concatenate(rows)))
 
     @cached_property
@@ -230,7 +230,7 @@ class LoopProblem:
         residuals = []
         for observation, weight in zip(self.observations, self.weights, strict=True):
             predicted = observation.predict(*self._at(observation, u))
-            residuals.append(whitened(weight, observation.measured.matrix - predicted))
+            residuals.append(whiten_values(weight, observation.measured.matrix - predicted))
         deviations = u[len(self.unknowns) :]
         of_sources = u[self.n_shared :]
         change = of_sources @ self.changes(u) if np.any(of_sources) else 0.0
@@ -250,7 +250,7 @@ class LoopProblem:
         for observation, weight in zip(self.observations, self.weights, strict=True):
             part = np.zeros((len(others), observation.measured.n_equation))
             for error in merge(observation.errors(*self._at(observation, u))):
-                part[others.index(error.uncertainty.source)] = whitened(weight, error.change)
+                part[others.index(error.uncertainty.source)] = whiten_values(weight, error.change)
             parts.append(part)
         return np.hstack(parts)
 
@@ -364,7 +364,7 @@ def receptance(
 
 def _total(view: View, file: MagneticFile, omega: FloatArray, support: tuple[float, float]) -> ComplexArray:
     """k_s + j w c_s + n (K G(jw) - k_n) - m w^2, (n_line,) [N/m]."""
-    plant = file.levitated()
+    plant = file.suspension()
     bearings = view.settings.share * dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert isinstance(view.settings.mass, float)
     return support[0] + 1j * omega * support[1] + bearings - view.settings.mass * omega**2

@@ -42,7 +42,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Course:
+class ResponseCourse:
     """A response at omega (n_line,) [rad/s]: *plain* as measured with its *variance* and its changes by every
     source (n_source, n_line), all [1]. dof: complex degrees of freedom behind the variance.
     """
@@ -84,7 +84,9 @@ class Course:
             follows = self.follows(starts, width)
             for chosen, degree in ((follows, PARABOLA), (~follows & (width <= FEWEST), QUARTIC)):
                 lines, at = starts[chosen, None] + np.arange(width), open_lines[chosen]
-                weights[at[:, None], lines] = _through(self.omega[at, None], self.omega[lines], degree)[:, 0]
+                weights[at[:, None], lines] = _interpolation_weights(
+                    self.omega[at, None], self.omega[lines], degree
+                )[:, 0]
             open_lines = open_lines[~follows]
         return weights
 
@@ -98,7 +100,7 @@ class Course:
 
     def at(self, omega: FloatArray, lines: slice, coefficients: int = QUARTIC) -> Smooth:
         """The response at other places *omega* (n_place,) [rad/s] by a polynomial through the *lines*."""
-        return self.by(omega, _through(omega, self.omega[lines], coefficients), lines)
+        return self.by(omega, _interpolation_weights(omega, self.omega[lines], coefficients), lines)
 
     def by(self, omega: FloatArray, weights: FloatArray, lines: slice) -> Smooth:
         """The response at *omega* (n_place,) [rad/s] by *weights* (n_place, n_line) [1] of the *lines*."""
@@ -117,7 +119,7 @@ def window(first: int, last: int, width: int, count: int) -> slice:
     return slice(start, start + width)
 
 
-def _through(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatArray:
+def _interpolation_weights(places: FloatArray, omega: FloatArray, coefficients: int) -> FloatArray:
     """(..., n_place, n_line) [1]: values at omega (..., n_line) to their polynomial at other places."""
     count = min(coefficients, omega.shape[-1])
     return _powers(places, omega, count) @ np.linalg.pinv(_powers(omega, omega, count))
@@ -174,7 +176,7 @@ def measured_margins(
     dof, quantile = noise
     if frequency.size < LOCAL:
         return []
-    course = Course(2 * np.pi * frequency, *transfer, changes, dof)
+    course = ResponseCourse(2 * np.pi * frequency, *transfer, changes, dof)
     smooth = course.by(course.omega, course.smoother(), slice(None))
     candidates: dict[str, list[Found]] = {}
     for gain in gain_margins(course, smooth, quantile):
@@ -212,7 +214,7 @@ def factor(name: str, value: float, error: float, quantile: float) -> Parameter:
 
 
 def _crossings(
-    course: Course, smooth: Smooth, function: Callable[[ComplexArray], FloatArray]
+    course: ResponseCourse, smooth: Smooth, function: Callable[[ComplexArray], FloatArray]
 ) -> Iterator[tuple[Smooth, int]]:
     """Places, and the number of the one behind which a real function of L changes its sign there."""
     signed = function(smooth.values)
@@ -249,7 +251,7 @@ def _groups(smooth: Smooth, signed: FloatArray) -> tuple[list[tuple[int, int]], 
     return groups, sure
 
 
-def gain_margins(course: Course, smooth: Smooth, quantile: float) -> Iterator[Found]:
+def gain_margins(course: ResponseCourse, smooth: Smooth, quantile: float) -> Iterator[Found]:
     """-1 / Re L [1] where Im L = 0, by as many lines as a parabola follows; none where noise crosses.
 
     Its error holds what the noise of Im L does to the place, however L bends there: all places count whose
@@ -278,7 +280,7 @@ def gain_margins(course: Course, smooth: Smooth, quantile: float) -> Iterator[Fo
             yield value, error, moved
 
 
-def _widest(course: Course, first: int, last: int) -> slice:
+def _widest(course: ResponseCourse, first: int, last: int) -> slice:
     """The most lines about first ... last that a parabola follows."""
     count = course.omega.size
     chosen, width = window(first, last, FEWEST, count), float(max(FEWEST, last - first + 1))
@@ -324,7 +326,7 @@ class Crest:
     place: Found
 
 
-def crest_of(course: Course) -> Crest | None:
+def crest_of(course: ResponseCourse) -> Crest | None:
     """The maximum of |S| by as many lines as a parabola follows, None at an end. Equation (comp-peak)."""
     count = course.omega.size
     if count < FEWEST:
@@ -346,7 +348,7 @@ def crest_of(course: Course) -> Crest | None:
     return replace(crest, place=(place, error, changes))
 
 
-def _crest_lines(course: Course) -> tuple[slice, bool]:
+def _crest_lines(course: ResponseCourse) -> tuple[slice, bool]:
     """Most lines that a parabola follows around the highest |S|; False where it follows too few."""
     count = course.omega.size
     top = int(np.argmax(np.abs(course.plain)))
@@ -387,14 +389,14 @@ def _differences(step: float) -> tuple[FloatArray, FloatArray]:
     return np.array([-0.5, 0.0, 0.5]) / step, np.array([1.0, -2.0, 1.0]) / step**2
 
 
-def truncation(course: Course, of_place: Smooth, top: int, lines: slice) -> float:
+def truncation(course: ResponseCourse, of_place: Smooth, top: int, lines: slice) -> float:
     """Distance [rad/s] between the maximum of |S| and the minimum of |1/S| by polynomials of fourth degree
     through the same lines, a step of Newton each: what lines far apart leave of the place.
     Equation (comp-peak-truncation).
     """
     places = of_place.omega[top - 1 : top + 2]
     slope, bend = _differences(float(np.log(places[1] / places[0])))
-    through = _through(places, course.omega[lines], QUARTIC)
+    through = _interpolation_weights(places, course.omega[lines], QUARTIC)
     shifts = []
     for values in (course.plain[lines], 1 / course.plain[lines]):
         size = np.abs(through @ values)

@@ -16,7 +16,7 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
-from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, connect_series
 
 # Controller of Lim et al. (2009), section 4: sampled at 20 kHz.
 CONTROL_RATE = 20e3
@@ -194,7 +194,7 @@ def sampled_law(
     """
     if not blocks:
         return SampledLaw.constant(0.0) if zero else _sampled_pid(loop, rate)
-    continuous, discrete = in_series(blocks)
+    continuous, discrete = connect_series(blocks)
     if discrete.rate is not None and abs(discrete.rate - rate) > ROUNDING * rate:
         what = f"controller: its blocks are at {discrete.rate:g} Hz, the loop at {rate:g} Hz"
         raise SettingError("controller", what)

@@ -21,9 +21,9 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     identifiability_findings,
     loop_fit,
 )
-from labpipe.methods.magnetic_bearing.measured_margins import Course, crest_of
+from labpipe.methods.magnetic_bearing.measured_margins import ResponseCourse, crest_of
 from labpipe.methods.magnetic_bearing.stability import ZONES, sensitivity, zone_of
-from labpipe.records.comparison import Comparison, Curve
+from labpipe.records.comparison import Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
@@ -79,10 +79,10 @@ class MeasuredSensitivity:
         return -self._changes / self.values**2
 
     @property
-    def course(self) -> Course:
+    def course(self) -> ResponseCourse:
         """S over omega with its noise and changes."""
         omega, dof = 2 * np.pi * self.frequency, self.response.covariance_dof
-        return Course(omega, self.values, 2 * self.error**2, self._changes, dof)
+        return ResponseCourse(omega, self.values, 2 * self.error**2, self._changes, dof)
 
     @property
     def combined(self) -> FloatArray:
@@ -108,7 +108,7 @@ class MeasuredSensitivity:
             """Of the prediction: in proportion to the measurement a gain would shrink its noise with it.
             Gains and delays of both sides change S by S (1 - S).
             """
-            there = sensitivity(changed.levitated(), omega)
+            there = sensitivity(changed.suspension(), omega)
             here = self.values * (1 - self.values)
             factor = np.divide(there * (1 - there), here, out=np.ones_like(here), where=here != 0)
             factor = np.where(np.abs(factor) < MOST_SCALED, factor, 1.0)[:, None, None]
@@ -116,7 +116,7 @@ class MeasuredSensitivity:
 
         return loop_problem.LoopObservation(
             measured,
-            lambda changed, _: sensitivity(changed.levitated(), omega)[:, None, None],
+            lambda changed, _: sensitivity(changed.suspension(), omega)[:, None, None],
             file,
             errors=errors,
         )
@@ -224,10 +224,12 @@ _Theory = tuple[MagneticFile, LoopFit]
 
 
 def _size(file: MagneticFile, frequency: FloatArray) -> FloatArray:
-    return np.abs(sensitivity(file.levitated(), 2 * np.pi * frequency))
+    return np.abs(sensitivity(file.suspension(), 2 * np.pi * frequency))
 
 
-def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None) -> Curve:
+def _curve(
+    measured: MeasuredSensitivity, predicted: FloatArray | None, theory: _Theory | None
+) -> QuantityCurve:
     parts = {} if predicted is None else {"theory": predicted}
     if theory is not None and theory[1].usable:
         changed = loop_problem.with_unknowns(theory[0], theory[1].values())
@@ -237,9 +239,11 @@ def _curve(measured: MeasuredSensitivity, predicted: FloatArray | None, theory: 
     return curve_of(measured.response.name, "sensitivity", "1", frequency=measured.frequency, **parts)
 
 
-def curve_of(test: str, quantity: str, unit: str, **columns: FloatArray) -> Curve:
+def curve_of(test: str, quantity: str, unit: str, **columns: FloatArray) -> QuantityCurve:
     """A curve of *columns* (n_line,) [unit], by the names of its fields."""
-    return Curve(test, quantity, unit, **{name: tuple(part.tolist()) for name, part in columns.items()})
+    return QuantityCurve(
+        test, quantity, unit, **{name: tuple(part.tolist()) for name, part in columns.items()}
+    )
 
 
 def _measured_amounts(
@@ -272,7 +276,7 @@ def _statement(
     if theory is None or predicted is None:
         return peak_text
     (file, fitted), highest = theory, float(np.max(predicted))
-    stability = verdict(file.levitated())
+    stability = verdict(file.suspension())
     if stability.unstable:
         return f"{peak_text} The loop of the bearing file is unstable, so it cannot be the recorded one."
     prediction_text = f" Predicted in this band: {highest:.3f}."
@@ -290,7 +294,7 @@ def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, .
     findings += peak.findings()
     if theory is not None:
         file, fitted = theory
-        predicted = stability_findings(verdict(file.levitated()))
+        predicted = stability_findings(verdict(file.suspension()))
         findings += [replace(finding, message=f"prediction: {finding.message}") for finding in predicted]
         findings += [*identifiability_findings(fitted), note("assumptions", file.assumptions())]
     return tuple(findings)
@@ -300,7 +304,7 @@ def _findings(peak: Peak, zone: str, theory: _Theory | None) -> tuple[Finding, .
 ONE_INJECTION = 1e6
 
 
-def per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
+def response_per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
     """H = Y R^-1 of the runs, Y the channels of role output and R those of role input, dH = (dY - H dR) R^-1.
 
     Uncertainties of channels and of sums go the same way, but for directions that no other channel tells,

@@ -28,7 +28,7 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     sampled_matrix,
     sampled_plant,
 )
-from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, in_series
+from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, connect_series
 
 PADE_ORDER = 4
 # Sizes of z: of what is not a state but an empty place in a delay line, and beyond 1 of a pole that grows.
@@ -95,7 +95,7 @@ def _controller_polynomials(loop: ControlLoop, time: float) -> tuple[Polynomial,
 def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Polynomial, Polynomial]:
     if not blocks:
         return Polynomial([0.0]), Polynomial([1.0])
-    continuous, _ = in_series(blocks)
+    continuous, _ = connect_series(blocks)
     above, below = (
         Polynomial(np.atleast_1d(np.poly(np.array(roots) * time)).real[::-1])
         for roots in (continuous.zeros, continuous.poles)
@@ -146,7 +146,7 @@ def unstable_poles(plant: Suspended) -> int:
     else:
         pairs, dynamic = ["xx", "xy", "yx", "yy"], stiffness_matrix(loop, plant.negative_stiffness, omega)
         turned = np.linalg.det(dynamic - inertia[:, None, None] * np.eye(2))
-    poles = [pole for pair in pairs for pole in in_series(loop.blocks(*pair))[0].poles]
+    poles = [pole for pair in pairs for pole in connect_series(loop.blocks(*pair))[0].poles]
     # Stable poles turn by what they add to n, so that only others count, at s = 0 as slow damped ones.
     for pole in poles:
         turned = turned * (1j * omega - pole)

@@ -54,7 +54,9 @@ class Transfer:
         return Transfer(self.zeros + other.zeros, self.poles + other.poles, self.gain * other.gain, self.rate)
 
 
-def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | None = None) -> Transfer:
+def transfer_of_polynomials(
+    numerator: ArrayLike, denominator: ArrayLike, rate: float | None = None
+) -> Transfer:
     """From coefficients in descending powers of s or z; ConfigError for a denominator that is zero."""
     above, below = (
         np.trim_zeros(np.atleast_1d(np.asarray(power, float)), "f") for power in (numerator, denominator)
@@ -63,14 +65,14 @@ def of_polynomials(numerator: ArrayLike, denominator: ArrayLike, rate: float | N
         hint = "coefficients in descending powers, for example [1, 20, 100]"
         raise SettingError("denominator", "denominator: is zero", hint)
     poles = np.roots(below)
-    above = _without_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
+    above = _drop_rounding(above, float(np.max(np.abs(poles), initial=0.0)))
     if not above.size:
         return Transfer((), (), 0.0, rate)
     zeros = tuple(map(complex, np.roots(above)))
     return Transfer(zeros, tuple(map(complex, poles)), float(above[0] / below[0]), rate)
 
 
-def _without_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
+def _drop_rounding(coefficients: FloatArray, largest: float) -> FloatArray:
     """Without leading coefficients, left by rounding, that make zeros far beyond the *largest* pole."""
     while coefficients.size > 1 and abs(coefficients[1]) > FAR * largest * abs(coefficients[0]) > 0:
         coefficients = coefficients[1:]
@@ -102,7 +104,11 @@ def pid(proportional: float, integral: float, derivative: float, time: float) ->
     above = np.array([proportional * time + derivative, proportional + integral * time, integral])
     below = np.array([time, 1.0, 0.0])
     # Without an integral, zero and pole at s = 0 are left out together.
-    return of_polynomials(above[:2], below[:2]) if integral == 0 else of_polynomials(above, below)
+    return (
+        transfer_of_polynomials(above[:2], below[:2])
+        if integral == 0
+        else transfer_of_polynomials(above, below)
+    )
 
 
 def _pair(omega: float, damping: float) -> tuple[complex, complex]:
@@ -122,7 +128,7 @@ def matrix_of(system: Any) -> list[list[Transfer]]:
         single = np.isscalar(system.num[0])
         above, below = ([[part]] if single else part for part in (system.num, system.den))
         pairs = zip(above, below, strict=True)
-        return [[of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)] for pair in pairs]
+        return [[transfer_of_polynomials(n, d, rate) for n, d in zip(*pair, strict=True)] for pair in pairs]
     if all(hasattr(system, name) for name in "ABCD"):
         a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, name), float)) for name in "ABCD")
         rows, columns = (range(n) for n in d.shape)
@@ -185,7 +191,7 @@ CONJUGATE = 1e-6
 
 
 @dataclass(frozen=True)
-class Form:
+class BlockForm:
     """Entries that a block of the form *needs* and those it *takes* beside, and its transfer function."""
 
     needs: tuple[str, ...]
@@ -208,14 +214,14 @@ def _checked_roots(
     return Transfer(zeros, poles, gain, rate)
 
 
-FORMS: dict[str, Form] = {
-    "roots": Form((), ("zeros", "poles", "gain", "rate"), _checked_roots),
-    "polynomial": Form(("numerator", "denominator"), ("rate",), of_polynomials),
-    "pid": Form((), ("proportional", "integral", "derivative", "derivative_time"), pid),
-    "lead-lag": Form(("zero", "pole"), (), lead_lag),
-    "low-pass": Form(("frequency",), ("order", "damping"), low_pass),
-    "notch": Form(("frequency",), ("depth", "width"), notch),
-    "gain": Form((), ("gain",), lambda gain: Transfer(gain=gain)),
+FORMS: dict[str, BlockForm] = {
+    "roots": BlockForm((), ("zeros", "poles", "gain", "rate"), _checked_roots),
+    "polynomial": BlockForm(("numerator", "denominator"), ("rate",), transfer_of_polynomials),
+    "pid": BlockForm((), ("proportional", "integral", "derivative", "derivative_time"), pid),
+    "lead-lag": BlockForm(("zero", "pole"), (), lead_lag),
+    "low-pass": BlockForm(("frequency",), ("order", "damping"), low_pass),
+    "notch": BlockForm(("frequency",), ("depth", "width"), notch),
+    "gain": BlockForm((), ("gain",), lambda gain: Transfer(gain=gain)),
 }
 
 
@@ -337,7 +343,7 @@ def rate_of(blocks: Iterable[ControllerBlock]) -> float | None:
 
 
 @lru_cache(maxsize=64)
-def in_series(blocks: tuple[ControllerBlock, ...]) -> tuple[Transfer, Transfer]:
+def connect_series(blocks: tuple[ControllerBlock, ...]) -> tuple[Transfer, Transfer]:
     """All blocks in series: those of s, and those of z, which are 1 where there are none."""
     continuous, discrete = Transfer(), Transfer(rate=rate_of(blocks))
     for part in (block.transfer for block in blocks):

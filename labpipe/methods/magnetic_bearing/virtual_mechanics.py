@@ -41,7 +41,7 @@ class Levitation(Settings):
 
 
 @dataclass(frozen=True)
-class Noise(StandardDeviations):
+class LevitationNoise(StandardDeviations):
     displacement: float = quantity("displacement sensors", "m", 0.3e-6)
     force: float = quantity("force transducer", "N", 0.02)
     hover: float = quantity("slow wander of the levitated rotor", "m", 1e-6)
@@ -66,7 +66,7 @@ class VirtualMagneticRig(Settings):
     unbalance: float = quantity("1x amplitude of the rotating run", "m", 4e-6)
     radial_force: float = quantity("rms force of the shaker in radial runs", "N", 2.0)
     levitation: Levitation = section("the magnetic bearings", Levitation, Levitation())
-    noise: Noise = section("measuring noise", Noise, Noise())
+    noise: LevitationNoise = section("measuring noise", LevitationNoise, LevitationNoise())
 
     def __post_init__(self) -> None:
         self.require_positive("pedestal_mass", "rotor_mass", "axial_mass", "radial_force", "actuator_gain")

@@ -89,12 +89,12 @@ def radial_in_loop(rig: VirtualMagneticRig, name: str, rng: np.random.Generator)
         "proportional": plant.loop.proportional,
         "delay": plant.loop.delay,
         "negative_stiffness_per_bearing": plant.negative_stiffness,
-        **_per_bearing(omega, bearing),
+        **_values_per_bearing(omega, bearing),
     }
     return _run(name, truth, channels, columns, rate)
 
 
-def _per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[float]]:
+def _values_per_bearing(omega: FloatArray, bearing: ComplexArray) -> dict[str, list[float]]:
     return {
         "frequency_hz": (omega / (2 * np.pi)).tolist(),
         "k_per_bearing": bearing.real.tolist(),
@@ -354,7 +354,7 @@ def radial(rig: VirtualMagneticRig, name: str, rng: np.random.Generator) -> virt
         "speed_hz": rig.speed if rotating else 0.0,
         "forcing_angle": np.pi / 4,
         "pedestal": {"k": rig.pedestal_stiffness, "c": rig.pedestal_damping},
-        **_per_bearing(omega, bearing),
+        **_values_per_bearing(omega, bearing),
     }
     if rig.levitation.law == "control-loop":
         truth["negative_stiffness_per_bearing"] = mechanics.negative_stiffness(rig.levitation)

@@ -23,8 +23,8 @@ from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
 from labpipe.methods.modal import model_error, poles as lscf
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, one_step
-from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, add_moved_modes, aligned_measured, alignment
+from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine_one_step
+from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, add_moved_modes, align_measured, alignment
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import ModalEstimate, ModalReceptance, covariance_fit, regular
 from labpipe.records.finding import Finding, Parameter
@@ -47,25 +47,25 @@ def _sources(
     errors = matrix_errors(measured, directions=True)
     real = settings.model_settings.shapes == "real"
 
-    def eliminated(change: ComplexArray) -> FloatArray:
+    def eliminate(change: ComplexArray) -> FloatArray:
         moved = replace(lines, matrix=lines.matrix + (lines.s**lines.power)[:, None, None] * change)
-        again = one_step(replace(terms, lines=moved), refined, real=real)
+        again = refine_one_step(replace(terms, lines=moved), refined, real=real)
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
     if not errors or estimate.chi2_reduced is None:
-        return [*changes_by(errors, eliminated), *of_mass]
+        return [*changes_by(errors, eliminate), *of_mass]
     model = ModalReceptance.of(terms, refined, measured, real=real)
-    values = model.joined(refined, measured)
+    values = model.join(refined, measured)
     problem = OutputError(measured, model, whitener(regular(measured)))
     jacobian = problem.jacobian(values)
     step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
 
-    def changed(change: ComplexArray) -> FloatArray:
-        poles, participation, shapes, _ = model.split(values - step @ problem.whitened(change))
+    def change_of(change: ComplexArray) -> FloatArray:
+        poles, participation, shapes, _ = model.split(values - step @ problem.whiten(change))
         again = replace(refined, poles=poles, participation=participation, shapes=shapes)
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
-    return [*changes_by(errors, changed), *of_mass]
+    return [*changes_by(errors, change_of), *of_mass]
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
@@ -182,7 +182,7 @@ class _Sides:
     """
 
     measured: Measured
-    lines: Lines
+    lines: FrfLines
     forces_move: bool
     by_force: bool
 
@@ -232,12 +232,12 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     # need.
     correlation = response.line_correlation
     whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
-    sides, whole, moved, loaded = _at_mean_poles(sides, whole, correlation, modal)
+    sides, whole, moved, loaded = _move_to_mean_poles(sides, whole, correlation, modal)
     if real := modal.shapes == "real":
         whole = lscf.with_real_modes(whole, correlation)
     terms = whole.terms
     estimate = covariance_fit(sides.measured, terms, whole.refined, real=real)
-    beyond = aligned_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
+    beyond = align_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     if not (has_noise(sides.measured) or correlation):
@@ -256,14 +256,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 
-def _at_mean_poles(
+def _move_to_mean_poles(
     sides: _Sides, whole: lscf.Completed, correlation: tuple[complex, ...], modal: ModalSettings
 ) -> tuple[_Sides, lscf.Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
     moving = modal.moving_mass is not None
     lines, whole, moved, loaded = add_moved_modes(sides.lines, whole, correlation, moving=moving)
-    return replace(sides, lines=lines, measured=aligned_measured(sides.measured, moved)), whole, moved, loaded
+    return replace(sides, lines=lines, measured=align_measured(sides.measured, moved)), whole, moved, loaded
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
@@ -286,7 +286,7 @@ def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool, a
     matrix = turned.matrix * factor[:, None, None]
     weight = _weight(turned, factor)
     shared, power = measured.shared_noise, DERIVATIVES[form]
-    lines = Lines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared, adds_terms)
+    lines = FrfLines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared, adds_terms)
     return _Sides(turned, lines, forces_move, by_force)
 
 
@@ -324,7 +324,7 @@ def _turn(measured: Measured) -> Measured:
     order = np.arange(n_output * n_input).reshape(n_output, n_input).T.ravel()
     covariance = measured.stored_covariance
     if isinstance(covariance, BlockCovariance):
-        covariance = covariance.chosen(np.ones(measured.omega.size, bool), order.tolist())
+        covariance = covariance.choose(np.ones(measured.omega.size, bool), order.tolist())
     elif measured.covariance is not None:
         covariance = measured.covariance[:, order][:, :, order]
     return replace(
@@ -337,7 +337,7 @@ def _turn(measured: Measured) -> Measured:
     )
 
 
-def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf.Poles]:
+def _first_modes(lines: FrfLines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf.Poles]:
     """Where the noise of single lines hides every mode, the means of 2, 4, ... neighbouring ones are looked
     at.
     """
@@ -348,7 +348,9 @@ def _first_modes(lines: Lines, modal: ModalSettings) -> tuple[lscf.Diagram, lscf
         order = _highest_order(omega.size, modal)
         equations = lscf.normal_equations(omega, matrix, order)
         diagram = lscf.stabilisation(equations, edges, order, min(modal.order[0], order))
-        looks.append((diagram, _by_hand(equations, modal, edges, order) if modal.poles else diagram.modes))
+        looks.append(
+            (diagram, _poles_by_hand(equations, modal, edges, order) if modal.poles else diagram.modes)
+        )
         if diagram.modes.values.size:
             break
         half = omega.size // 2
@@ -381,8 +383,8 @@ def _highest_order(n_line: int, modal: ModalSettings) -> int:
     return highest
 
 
-def _by_hand(
-    equations: lscf.NormalEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
+def _poles_by_hand(
+    equations: lscf.DenominatorEquations, modal: ModalSettings, edges: tuple[float, float], highest: int
 ) -> lscf.Poles:
     low, high = (edge / (2 * np.pi) for edge in edges)
     for pole in sorted(modal.poles):
@@ -455,7 +457,7 @@ def _report(
     )
 
 
-def _diagram_record(lines: Lines, diagram: lscf.Diagram) -> StabilisationDiagram:
+def _diagram_record(lines: FrfLines, diagram: lscf.Diagram) -> StabilisationDiagram:
     poles = diagram.poles
     return StabilisationDiagram(
         np.abs(poles.values) / (2 * np.pi),

@@ -29,7 +29,7 @@ PoleFunctions = tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, Com
 
 
 @dataclass(frozen=True)
-class Lines:
+class FrfLines:
     """FRFs on the lines: omega (n_line,) [rad/s], matrix (n_line, n_output, n_input) [unit of the FRF],
     *power* p of s of their form.
 
@@ -59,12 +59,12 @@ class Lines:
         if self.leakage is None:
             return pole_functions(self.s, poles, self.hysteretic)
         every = pole_functions(1j * self.leakage.grid[0], poles, self.hysteretic)
-        (a, b), (a_slope, b_slope) = (map(self._averaged, pair) for pair in every)
+        (a, b), (a_slope, b_slope) = (map(self._average, pair) for pair in every)
         return (a, b), (a_slope, b_slope)
 
-    def _averaged(self, values: ComplexArray) -> ComplexArray:
+    def _average(self, values: ComplexArray) -> ComplexArray:
         assert self.leakage is not None
-        return self.leakage.averaged(values[:, :, None])[..., 0]
+        return self.leakage.average(values[:, :, None])[..., 0]
 
     @property
     def spacing(self) -> float:
@@ -84,7 +84,7 @@ class ResidualTerms:
     them. Equation (modal-terms).
     """
 
-    lines: Lines
+    lines: FrfLines
     lower: int
     upper: int
 
@@ -106,7 +106,7 @@ class ResidualTerms:
             basis = np.column_stack([basis, column / np.linalg.norm(column)])
         return basis
 
-    def without(self, values: ComplexArray) -> ComplexArray:
+    def remove_from(self, values: ComplexArray) -> ComplexArray:
         """*values* (n_line, n) [any unit] less what the terms can make of them with complex factors."""
         return values - self.basis @ (self.basis.conj().T @ values)
 
@@ -114,7 +114,7 @@ class ResidualTerms:
     def remainder(self) -> ComplexArray:
         """The data (n_line, n_output, n_input) [unit of the FRF] without the terms."""
         weighted = self.lines.matrix * self.lines.weight[:, None, None]
-        return self.without(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
+        return self.remove_from(weighted.reshape(weighted.shape[0], -1)).reshape(weighted.shape)
 
     @cached_property
     def size(self) -> FloatArray:
@@ -167,7 +167,7 @@ class Refined:
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _GramSums:
     """Gram matrix (f, f) of the pole functions and their derivatives and its products (f, n_output, n_input)
     with the data, both after elimination of the residual terms; *size* (n_output, n_input): sum of squares of
     the data after it.
@@ -221,7 +221,7 @@ def _move(state: _State, step: FloatArray) -> _State | None:
 @dataclass(frozen=True)
 class _State:
     terms: ResidualTerms
-    sums: _Sums
+    sums: _GramSums
     poles: ComplexArray
     participation: ComplexArray
     variance: FloatArray
@@ -334,7 +334,7 @@ class _State:
         return Refined(*modes, self.variance, information, converged, steps, lines.hysteretic)
 
 
-def one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+def refine_one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
     """The refined modes one step of Gauss-Newton on, for the FRFs of *terms*; *real*: as in refine."""
     state = _State.at(terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
@@ -343,12 +343,12 @@ def one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
 
 def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     """What the modes and the terms leave of the FRFs, (n_line, n_output, n_input) [unit of the FRF]."""
-    pairs = terms.without(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
+    pairs = terms.remove_from(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
     coefficients = _coefficients(refined.participation, refined.shapes)
     return terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients)
 
 
-def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+def refine_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
     """The refined modes with covariances from the scatter of every line by itself, as line_scatter gives it
     for all parameters at once, with terms and shapes eliminated output by output.
 
@@ -359,11 +359,11 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
     state = _State.at(terms, refined.poles, refined.participation, real)
     state = replace(state, variance=refined.noise)
     normal, _, inverse, eliminated, psi = state._schur()
-    functions, residual = terms.without(_functions(lines, refined.poles)), remaining(terms, refined)
+    functions, residual = terms.remove_from(_functions(lines, refined.poles)), remaining(terms, refined)
     of_psi, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)
     by_terms = np.sum(np.abs(terms.basis) ** 2, axis=1)[:, None, None]
 
-    def of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def columns_of_output(output: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Columns by shapes, by poles and participation; these and the residual over 1 - H_o."""
         root = np.sqrt(refined.noise[output])
         of_shape, slopes, rest = (
@@ -380,14 +380,14 @@ def by_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> R
 
     products = np.zeros((n_line, normal.shape[0], normal.shape[0] + 1))
     for output in range(len(psi)):
-        _, slopes, scatter = of_output(output)
+        _, slopes, scatter = columns_of_output(output)
         products += slopes.swapaxes(1, 2) @ scatter
     # Real modes have no slopes by imaginary parts.
     whole = normal + np.diag(np.where(np.diag(normal) > 0, 0.0, 1.0))
     shares = np.linalg.solve(whole - products[:, :, :-1], products[:, :, -1:])
     of_outputs = []
     for output in range(len(psi)):
-        of_shape, _, scatter = of_output(output)
+        of_shape, _, scatter = columns_of_output(output)
         rest = scatter[:, :, -1:] + scatter[:, :, :-1] @ shares
         of_outputs.append(
             (of_shape.swapaxes(1, 2) @ rest)[:, :, 0] @ inverse[output]
@@ -420,7 +420,7 @@ def _free(participation: ComplexArray) -> tuple[IntArray, IntArray]:
     return rows, columns
 
 
-def _functions(lines: Lines, poles: ComplexArray) -> ComplexArray:
+def _functions(lines: FrfLines, poles: ComplexArray) -> ComplexArray:
     pairs = lines.functions(poles)
     columns = [np.stack([a + b, 1j * (a - b)], axis=-1).reshape(lines.omega.size, -1) for a, b in pairs]
     return np.hstack(columns) * (lines.s**lines.power * lines.weight)[:, None]
@@ -440,13 +440,13 @@ def pole_functions(s: ComplexArray, poles: ComplexArray, hysteretic: bool) -> Po
     return (a, b), (a**2, b**2)
 
 
-def _sums(terms: ResidualTerms, poles: ComplexArray) -> _Sums:
+def _sums(terms: ResidualTerms, poles: ComplexArray) -> _GramSums:
     lines = terms.lines
-    functions = terms.without(_functions(lines, poles))
+    functions = terms.remove_from(_functions(lines, poles))
     gram = (functions.conj().T @ functions).real
     flat = terms.remainder.reshape(lines.omega.size, -1)
     products = (functions.conj().T @ flat).real.reshape(-1, *lines.matrix.shape[1:])
-    return _Sums(gram, products, terms.size)
+    return _GramSums(gram, products, terms.size)
 
 
 def _shape_columns(participation: ComplexArray) -> FloatArray:

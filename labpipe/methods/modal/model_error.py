@@ -15,8 +15,8 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, pole_functions, pseudo_inverse
-from labpipe.methods.modal.moved import MovedMode, mean_of_points, without_load
+from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, pole_functions, pseudo_inverse
+from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
@@ -40,7 +40,7 @@ def shape_record(
     poles, raw, participation = refined.poles[order], refined.shapes[:, order], refined.participation[order]
     scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(order.size)]
     shapes = raw / scale
-    of_pole = [function for _, _, function in _of_pole(refined)]
+    of_pole = [function for _, _, function in _pole_functions(refined)]
     rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
     frequency, damping = np.array(rows).T
     return Modes(
@@ -129,7 +129,7 @@ def modal_parameters(
     (modal-loss-factor). *inflation*: factor on the standard errors where the residual exceeds the noise.
     Equation (modal-frequency).
     """
-    weigh = _at_driving_point(refined.hysteretic) if mass is None else (lambda _: mass)
+    weigh = _driving_point_function(refined.hysteretic) if mass is None else (lambda _: mass)
     functions: list[tuple[str, str, Function]] = []
     if (mass is not None or driving) and refined.hysteretic:
         functions = [("k", "N/m", lambda x: weigh(x) * float(x[1] ** 2 - x[0] ** 2))]
@@ -145,7 +145,7 @@ def modal_parameters(
     parameters = [
         replace(_value(refined, mode, None, n, function, dof), derived=False)
         for n, mode in ordered
-        for function in _of_pole(refined)
+        for function in _pole_functions(refined)
     ]
     for n, mode in ordered:
         place = strongest[n - 1] if strongest else None
@@ -173,7 +173,7 @@ def frequency_correlation(refined: Refined) -> FloatArray:
     slopes = np.zeros((2 * refined.poles.size, refined.covariance.shape[0]))
     for row, mode in enumerate(_ascending(refined)):
         values, _ = _pole_and_residue(refined, mode, None)
-        for number, (_, _, function) in enumerate(_of_pole(refined)):
+        for number, (_, _, function) in enumerate(_pole_functions(refined)):
             slopes[2 * row + number, 2 * mode : 2 * mode + 2] = _gradient(function, values)
     return correlation(slopes @ refined.covariance @ slopes.T)
 
@@ -193,7 +193,7 @@ def _value(
     return derive(f"{name}_{number}", unit, function(values), float(np.sqrt(variance)), dof)
 
 
-def _at_driving_point(hysteretic: bool) -> Function:
+def _driving_point_function(hysteretic: bool) -> Function:
     """Modal mass [kg] of pole x_0 + j x_1, residue (x_2 + j x_3)(x_4 + j x_5)."""
 
     def mass(x: FloatArray) -> float:
@@ -203,7 +203,7 @@ def _at_driving_point(hysteretic: bool) -> Function:
     return mass
 
 
-def _of_pole(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
+def _pole_functions(refined: Refined) -> tuple[tuple[str, str, Function], ...]:
     return HYSTERETIC if refined.hysteretic else VISCOUS
 
 
@@ -284,7 +284,7 @@ def model_errors(
         if not every and width >= 2 * REACH * -2 * refined.poles[mode].real:
             continue
         try:
-            scatter = _scatter(measured, estimate, _near(measured, complex(refined.poles[mode])))
+            scatter = _scatter(measured, estimate, _lines_near(measured, complex(refined.poles[mode])))
             band, base, mixed = _judge(measured, wide, estimate, mode, scatter)
         except (FitError, np.linalg.LinAlgError):
             continue
@@ -298,13 +298,13 @@ def model_errors(
             if np.argmin(np.abs(refined.poles - mode_moved.pole)) == mode:
                 shifted = shifted + mode_moved.shifts[seen]
         points = seen, shifted, of_points
-        unmoved = without_load(*points, refined.shapes[:, mode]) if moving else {}
-        apart = _apart(unmoved or mean_of_points(*points), number, values)
+        unmoved = unloaded_values(*points, refined.shapes[:, mode]) if moving else {}
+        apart = _find_apart(unmoved or mean_of_points(*points), number, values)
         errors_by_mode[number] = ModelError(mixed, rows, apart, unloaded=bool(unmoved))
     return errors_by_mode
 
 
-def _apart(
+def _find_apart(
     differing: Mapping[str, tuple[float, float, float]], number: int, values: Mapping[str, float]
 ) -> dict[str, tuple[float, float, float]]:
     """Mean and ends of ln f_n and ln zeta, of eta = 2 zeta, and under a given mass of k ~ f_n^2 and c, which
@@ -384,7 +384,7 @@ def with_model_errors(
         if pole.real >= 0:
             stated += without_intervals([parameter])
         elif number in errors:
-            stated += errors[number].stated([parameter])
+            stated += errors[number].state([parameter])
         elif estimate.chi2_reduced is None:
             alike = -2 * pole.real / (2 * np.pi) / float(np.median(np.diff(lines)))
             stated.append(replace(widen(parameter, float(np.sqrt(max(alike, 1.0)))), reason=FEW))
@@ -424,7 +424,7 @@ class _Band:
         pole, shape = complex(refined.poles[mode]), measured.matrix.shape[1:]
         frequency, natural = measured.omega / (2 * np.pi), np.abs(refined.poles) / (2 * np.pi)
         f_r, width = natural[mode], -2 * pole.real / (2 * np.pi)
-        near = _near(measured, pole)
+        near = _lines_near(measured, pole)
         if edges is not None:
             near = (frequency >= edges[0]) & (frequency <= edges[1])
         residues = refined.shapes[:, None, :] * refined.participation.T
@@ -466,7 +466,7 @@ class _Band:
         return seen, np.array(values).reshape(-1, 2), np.array(errors).reshape(-1, 2)
 
 
-def _near(measured: Measured, pole: complex) -> BoolArray:
+def _lines_near(measured: Measured, pole: complex) -> BoolArray:
     frequency = measured.omega / (2 * np.pi)
     away = np.abs(frequency - abs(pole) / (2 * np.pi))
     near = away <= REACH * -2 * pole.real / (2 * np.pi)
@@ -499,7 +499,7 @@ def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
     model = ModeModel(curve, residual=terms)
     start = np.log([abs(pole) / (2 * np.pi), -pole.real / abs(pole)])
     model = replace(model, curve=thin(curve, model, start))
-    fit = model.fitted(model.started(start))
+    fit = model.fit(model.start(start))
     if abs(np.exp(fit.theta[0]) / np.exp(start[0]) - 1) > REACH * np.exp(start[1]):
         raise FitError("the filtered line shows another mode")
     return fit
@@ -535,7 +535,7 @@ HANN_WIDTH = 1.44
 WINDOW = "hardly wider than a line: a window of the analyser may make the damping larger"
 
 
-def narrow_modes(refined: Refined, lines: Lines) -> dict[int, float]:
+def narrow_modes(refined: Refined, lines: FrfLines) -> dict[int, float]:
     """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
     number in ascending frequency.
     """

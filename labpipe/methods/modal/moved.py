@@ -17,7 +17,7 @@ from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import Lines, Refined, pole_functions, remaining
+from labpipe.methods.modal.likelihood import FrfLines, Refined, pole_functions, remaining
 from labpipe.methods.modal.poles import Completed, refine_with_terms, whiteness
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
@@ -76,7 +76,7 @@ class MovedMode:
         near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
         return (size > HARDLY * np.max(size)) & near & (self.poles.real < 0)
 
-    def aligned(self, s: ComplexArray) -> ComplexArray:
+    def align(self, s: ComplexArray) -> ComplexArray:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
         the FRF]; *s* (n_line,) [rad/s].
         """
@@ -85,7 +85,7 @@ class MovedMode:
         change = np.einsum("lp,pr->lpr", a[:, -1:] - a[:, :-1], self.residues)
         return change + np.einsum("lp,pr->lpr", b[:, -1:] - b[:, :-1], self.residues.conj())
 
-    def of_a_point(self) -> tuple[tuple[float, float], ...]:
+    def point_ends(self) -> tuple[tuple[float, float], ...]:
         """Ends of ln f_n and ln zeta of another point, mean +- t s sqrt(1 + 1/n) of those that show it; none
         of fewer than three.
         """
@@ -102,7 +102,7 @@ class MovedMode:
 
     def held_by(self, parameter: Parameter) -> Parameter:
         """A frequency or damping of a pole that this mode may stand for, whose interval holds this mode's."""
-        ends = self.of_a_point()
+        ends = self.point_ends()
         if not ends or parameter.ci95 is None or parameter.std_error is None:
             return parameter
         low, high = np.exp(ends[0 if parameter.name.startswith("f_n") else 1])
@@ -137,10 +137,10 @@ def alignment(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | flo
     """What takes all points to the mean poles of *moved* modes, (n_line, n_point, n_reference) [unit of the
     FRF], on *s* (n_line,) [rad/s]; 0 without any.
     """
-    return sum((mode.aligned(s) for mode in moved if not mode.instead), start=0.0)
+    return sum((mode.align(s) for mode in moved if not mode.instead), start=0.0)
 
 
-def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured:
+def align_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured:
     """The FRFs with every point at the mean poles of the *moved* modes."""
     if not moved:
         return measured
@@ -148,8 +148,8 @@ def aligned_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured
 
 
 def add_moved_modes(
-    lines: Lines, done: Completed, correlation: tuple[complex, ...], *, moving: bool
-) -> tuple[Lines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+    lines: FrfLines, done: Completed, correlation: tuple[complex, ...], *, moving: bool
+) -> tuple[FrfLines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
     """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes
     on poles that are one; as they are where none does. Modes that may stand *instead* of several poles come
     with how these moved, but nothing is moved by them.
@@ -172,7 +172,7 @@ def add_moved_modes(
     for number in set(range(refined.poles.size)) - merged:
         s, frfs = _alone(lines, refined, [number])
         if s.size >= FEWEST_LINES:
-            merging.append(([number], _by_points(s, frfs, refined.poles[[number]])[0]))
+            merging.append(([number], _fit_by_points(s, frfs, refined.poles[[number]])[0]))
             merged.add(number)
     moved = tuple(mode for _, mode in merging)
     rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
@@ -205,13 +205,13 @@ def _chains(refined: Refined) -> list[list[int]]:
     return chains
 
 
-def _move(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
+def _move(lines: FrfLines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
     s, frfs = _alone(lines, refined, chain)
     if s.size < FEWEST_LINES:
         return []
-    mode = _one_mode(s, frfs, refined.poles[chain])
+    mode = _fit_one_mode(s, frfs, refined.poles[chain])
     if mode is not None and not mode.instead:
         return [(chain, mode)]
     middle = len(chain) // 2
@@ -222,7 +222,7 @@ def _move(lines: Lines, refined: Refined, chain: list[int]) -> list[tuple[list[i
     ]
 
 
-def _alone(lines: Lines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
+def _alone(lines: FrfLines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
     poles = refined.poles[chain]
     reach = BESIDE * float(np.median(-2 * poles.real))
     low, high = poles.imag.min() - reach, poles.imag.max() + reach
@@ -274,7 +274,7 @@ def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexAr
     return poles(best.x)
 
 
-def _by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
+def _fit_by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> tuple[MovedMode, FloatArray]:
     start = np.array([np.mean(chain.real) + 1j * np.mean(chain.imag)])
     point_poles = [_best(s, frfs[:, point], start) for point in range(frfs.shape[1])]
     solved = [_solve(s, frfs[:, point], pole) for point, pole in enumerate(point_poles)]
@@ -282,12 +282,12 @@ def _by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> tupl
     return mode, np.array([_squares(left) for _, left in solved])
 
 
-def _one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
+def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
     """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
     where it is two.
     """
     n_line, n_point, n_reference = frfs.shape
-    moved, squares = _by_points(s, frfs, chain)
+    moved, squares = _fit_by_points(s, frfs, chain)
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
     amounts, left = _solve(s, flat, pair)
@@ -334,7 +334,7 @@ def mean_of_points(
     return dict(zip(("f_n", "zeta"), ends, strict=True))
 
 
-def without_load(
+def unloaded_values(
     seen: list[int], values: FloatArray, errors: FloatArray, shape: ComplexArray
 ) -> dict[str, tuple[float, float, float]]:
     """Mean and ends of ln f_n and ln zeta where the mode does not move, phi^2 = 0: a mass there changes

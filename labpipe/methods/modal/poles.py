@@ -18,7 +18,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, modal_
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, by_lines, refine, remaining
+from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine, refine_lines, remaining
 from labpipe.records.finding import NORMAL
 
 # Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
@@ -49,7 +49,7 @@ class Poles:
 
 
 @dataclass(frozen=True)
-class NormalEquations:
+class DenominatorEquations:
     """Normal matrices M of the denominator for every order, from order 1 up to the highest: (n_order, blocks,
     blocks), blocks = (order + 1) n_input filled. z = exp(-(s - j origin) T): *origin* [rad/s], *period* T
     [s]; *scale* (n_input,) of the references.
@@ -84,7 +84,7 @@ class NormalEquations:
         return Poles(values[keep] + 1j * self.origin, participation, np.full(len(participation), order))
 
 
-def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> NormalEquations:
+def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> DenominatorEquations:
     """Normal matrices of all orders up to *highest* from FRFs *matrix* (n_line, n_output, n_input) at *omega*
     (n_line,) [rad/s].
 
@@ -120,7 +120,7 @@ def normal_equations(omega: FloatArray, matrix: ComplexArray, highest: int) -> N
         size = (order + 1) * n_input
         total = total - rows[order].T @ rows[order]
         matrices.append((total[:size, :size] + total[:size, :size].T) / 2)
-    return NormalEquations(tuple(matrices[1:]), origin, period, scale)
+    return DenominatorEquations(tuple(matrices[1:]), origin, period, scale)
 
 
 def _both_lags(lags: ComplexArray, values: ComplexArray) -> FloatArray:
@@ -196,12 +196,12 @@ class Diagram:
         """Share (n,) [1] of the orders that have a pole at each of *values* (n,) [rad/s], *participation* (n,
         n_input) [1]: how sure it is that each is a mode.
         """
-        near = _near(self.poles, values, participation)
+        near = _mark_near(self.poles, values, participation)
         return np.array([np.mean(np.isin(self.counted, self.poles.orders[at])) for at in near])
 
 
 def stabilisation(
-    equations: NormalEquations, band: tuple[float, float], highest: int, lowest: int = 1
+    equations: DenominatorEquations, band: tuple[float, float], highest: int, lowest: int = 1
 ) -> Diagram:
     """The diagram of the orders *lowest* to *highest* and the modes inside *band* [rad/s] that it shows; of
     many orders every second one.
@@ -213,7 +213,7 @@ def stabilisation(
     poles = Poles(*(np.concatenate(of) for of in zip(*(vars(part).values() for part in parts), strict=True)))
     counted = [order for order in orders if order >= min(FIRST_ORDER, highest)]
     group = pole_groups(poles, counted)
-    modes = _least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
+    modes = _select_least_biased(equations, poles, group, band, counted[:HIGH_ORDERS])
     return Diagram(poles, group, modes, counted)
 
 
@@ -221,7 +221,7 @@ def stabilisation(
 APART = 0.01
 
 
-def nearest_modes(equations: NormalEquations, frequencies: FloatArray, order: int) -> Poles:
+def nearest_modes(equations: DenominatorEquations, frequencies: FloatArray, order: int) -> Poles:
     """The pole of *order* nearest to each of *frequencies* (n,) [rad/s], for a choice by hand; of a lower
     order where that has none. Frequencies that are APART have poles of their own.
 
@@ -250,7 +250,7 @@ def _inside(poles: Poles, band: tuple[float, float]) -> Poles:
     return poles.at(inside & (damping_ratio(poles.values) < MOST_DAMPING))
 
 
-def _near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
+def _mark_near(poles: Poles, values: ComplexArray, participation: ComplexArray) -> BoolArray:
     limit = SHARE_OF_DECAY * np.abs(values.real) + SHARE_OF_FREQUENCY * np.abs(values)
     return (np.abs(values[:, None] - poles.values) < limit[:, None]) & (
         modal_assurance(participation, poles.participation) > ALIKE
@@ -263,7 +263,7 @@ def pole_groups(poles: Poles, counted: list[int]) -> IntArray:
     The pole with neighbours in most orders takes them out, until none returns in enough orders.
     """
     group = np.full(poles.values.size, -1)
-    near = _near(poles, poles.values, poles.participation)
+    near = _mark_near(poles, poles.values, poles.participation)
     position = {order: n for n, order in enumerate(counted)}
     column = np.array([position.get(int(order), -1) for order in poles.orders], np.intp)
     centres: list[int] = []
@@ -285,8 +285,12 @@ def pole_groups(poles: Poles, counted: list[int]) -> IntArray:
     return np.asarray(rank[group], np.intp)
 
 
-def _least_biased(
-    equations: NormalEquations, poles: Poles, group: IntArray, band: tuple[float, float], orders: list[int]
+def _select_least_biased(
+    equations: DenominatorEquations,
+    poles: Poles,
+    group: IntArray,
+    band: tuple[float, float],
+    orders: list[int],
 ) -> Poles:
     """At each high order the nearest pole by the constraint of least bias, then the median."""
     n_mode = int(group.max(initial=-1)) + 1
@@ -300,7 +304,7 @@ def _least_biased(
     near_poles: list[list[complex]] = [[] for _ in range(n_mode)]
     for order in orders if n_mode else ():
         refined = _inside(equations.poles(order, stable_noise=True), (0.9 * band[0], 1.1 * band[1]))
-        for mode, alike in enumerate(_near(refined, centre, participation)):
+        for mode, alike in enumerate(_mark_near(refined, centre, participation)):
             near = refined.values[alike]
             if near.size:
                 near_poles[mode].append(near[np.argmin(np.abs(near - centre[mode]))])
@@ -357,7 +361,7 @@ TRIAL_STEPS = 1
 
 
 def refine_with_terms(
-    lines: Lines, poles: ComplexArray, participation: ComplexArray
+    lines: FrfLines, poles: ComplexArray, participation: ComplexArray
 ) -> tuple[Refined, ResidualTerms]:
     """The refined modes and the residual terms of least AIC = 2 n_line sum ln(residual) + 2 parameters, or
     one to either side where no more are asked for.
@@ -449,7 +453,7 @@ def kept_modes(refined: Refined, terms: ResidualTerms) -> tuple[Refined, Residua
     return again, more, (*notes, *further)
 
 
-def _standing(lines: Lines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
+def _standing(lines: FrfLines, refined: Refined) -> tuple[BoolArray, BoolArray, BoolArray]:
     frequency, decay = np.abs(refined.poles), -refined.poles.real
     low, high = lines.omega[0], lines.omega[-1]
     inside = (frequency >= low) & (frequency <= high)
@@ -466,7 +470,7 @@ def _clearest(refined: Refined, unseen: BoolArray) -> BoolArray:
     return unseen & np.any(beside, axis=1) & (np.max(np.where(beside, rank, -1), axis=1) < rank)
 
 
-def shape_p(refined: Refined, lines: Lines) -> FloatArray:
+def shape_p(refined: Refined, lines: FrfLines) -> FloatArray:
     """Probability (n_mode,) [1] of so large a shape by noise alone, anywhere in the band: chi-square of its
     points, of 2 degrees of freedom each, over what the noise of the lines has in common, times the number of
     half-power widths (lines, of a sharper mode) that the band holds, where noise may peak as well.
@@ -482,7 +486,7 @@ def shape_p(refined: Refined, lines: Lines) -> FloatArray:
     return np.minimum(np.array(probabilities) * _places(lines, refined), 1.0)
 
 
-def _places(lines: Lines, refined: Refined) -> FloatArray:
+def _places(lines: FrfLines, refined: Refined) -> FloatArray:
     widths = np.maximum(2 * np.abs(refined.poles.real), lines.spacing)
     return np.maximum((lines.omega[-1] - lines.omega[0]) / widths, 1.0)
 
@@ -551,7 +555,7 @@ def _with_one_more(
     if not sound or criterion(again, terms) > criterion(done.refined, done.terms) - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
-    place, by_scatter = 2 * refined.poles.size, by_lines(terms, again)
+    place, by_scatter = 2 * refined.poles.size, refine_lines(terms, again)
     if -again.poles.real[-1] < NORMAL * np.sqrt(by_scatter.covariance[place, place]):
         return None
     return Completed(again, terms, whiteness(remaining(terms, again), correlation), done.added + 1)

@@ -59,7 +59,7 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
     return (modal_fit(response, settings),)
 
 
-def _of_repeat(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
+def _repeat_settings(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
     # A recording alone is fitted with the modes of all together, so that these keep their numbers.
     poles = tuple(p.value for fit in fits for p in fit.parameters if p.name.startswith("f_n_"))
     return replace(settings, model_settings=replace(settings.model_settings, poles=poles))
@@ -71,7 +71,7 @@ MODAL = ModelKind(
     ModalSettings,
     "modal: {order: 60}",
     optional=True,
-    of_repeat=_of_repeat,
+    of_repeat=_repeat_settings,
     own_damping=True,
     any_input=True,
     keys=("mass", "input", "output", "damping", "residuals", "repeats", "repeat_groups"),

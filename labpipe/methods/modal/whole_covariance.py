@@ -23,7 +23,7 @@ from labpipe.estimation.weights import (
     weight_uncertainty,
     whitener,
 )
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, by_lines, pole_functions
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, pole_functions, refine_lines
 
 # Largest number of entries of the Jacobian.
 MOST_ENTRIES = 40_000_000
@@ -116,11 +116,11 @@ class ModalReceptance:
         of_terms = factors.reshape(self.n_output, self.n_input, -1)
         return poles, participation, shapes.reshape(self.n_output, -1), of_terms
 
-    def joined(self, refined: Refined, measured: Measured) -> FloatArray:
+    def join(self, refined: Refined, measured: Measured) -> FloatArray:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
         rest best.
         """
-        poles = self._of_modes(refined.poles, refined.participation, refined.shapes)
+        poles = self._sum_modes(refined.poles, refined.participation, refined.shapes)
         rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
         free = refined.participation[self._free]
@@ -134,7 +134,7 @@ class ModalReceptance:
         rows, columns = np.nonzero(mask)
         return rows, columns
 
-    def _of_modes(
+    def _sum_modes(
         self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray
     ) -> ComplexArray:
         return _sum(self.terms.lines.functions(poles)[0], participation, shapes)
@@ -143,7 +143,7 @@ class ModalReceptance:
         """H (n_line, n_output, n_input) [m/N] on the lines of the terms, of random data the expected H1."""
         poles, participation, shapes, factors = self.split(parameters)
         of_terms = np.einsum("lt,oit->loi", self.basis, factors)
-        return self._of_modes(poles, participation, shapes) + of_terms
+        return self._sum_modes(poles, participation, shapes) + of_terms
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
@@ -201,10 +201,10 @@ def covariance_fit(
     Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
     """
     model = ModalReceptance.of(terms, refined, measured, real=real)
-    start = model.joined(refined, measured)
+    start = model.join(refined, measured)
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) and refined.converged:
-        refined = by_lines(terms, refined, real=real)
+        refined = refine_lines(terms, refined, real=real)
     if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:

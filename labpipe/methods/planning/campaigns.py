@@ -19,8 +19,8 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import SettingError
 from labpipe.methods.planning.designs import A, D, optimum
 from labpipe.methods.planning.model import (
-    Noise,
     PlannedModel,
+    SensorDensities,
     relative_errors,
     residual_whitener,
     sensitivities,
@@ -48,11 +48,11 @@ class Multisines:
     forces: ComplexArray
     groups: IntArray
 
-    def turned(self, phases: FloatArray) -> Multisines:
+    def turn(self, phases: FloatArray) -> Multisines:
         """With phases (n_line, n_shaker) [rad] added."""
         return replace(self, forces=self.forces * np.exp(1j * phases))
 
-    def scaled(self, factors: FloatArray | float) -> Multisines:
+    def scale(self, factors: FloatArray | float) -> Multisines:
         """With forces times factors (n_shaker,) [1]."""
         return replace(self, forces=self.forces * factors)
 
@@ -60,7 +60,7 @@ class Multisines:
 Scheme = Callable[[IntArray, FloatArray, tuple[str, ...]], tuple[Multisines, ...]]
 
 
-def one_by_one(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+def shaker_by_shaker(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """A test for every shaker: mean squares *power* (n_line, n_shaker) [N^2] at lines (n_line,) [multiples].
     *names* of the shakers.
     """
@@ -105,7 +105,7 @@ def _keep(
     return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
 
 
-SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: one_by_one, TOGETHER: together, INTERLEAVED: interleave}
+SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: shaker_by_shaker, TOGETHER: together, INTERLEAVED: interleave}
 
 
 # Samples per period of the highest line, while searching.
@@ -151,7 +151,7 @@ def least_peak_phases(
     begins += [rng.uniform(0, 2 * np.pi, n_line + n_difference) for _ in range(random_starts)]
     if random_starts and n_difference:
         begins.append(np.concatenate([schroeder, rng.uniform(0, 2 * np.pi, n_difference)]))
-    problem = _Problem(lines, gains, group)
+    problem = _PhaseProblem(lines, gains, group)
     best, least = begins[0], problem.peak(begins[0])
     options = {"maxiter": QUICK_STEPS if quick else STEPS, "ftol": SETTLED}
     how = {"jac": True, "method": "L-BFGS-B", "options": options}
@@ -166,7 +166,7 @@ def least_peak_phases(
     return np.mod(problem.phases(best), 2 * np.pi)
 
 
-class _Problem:
+class _PhaseProblem:
     """The peak by phases of the first source (n_line,), then differences of the others by group."""
 
     def __init__(self, lines: IntArray, gains: ComplexArray, group: IntArray) -> None:
@@ -216,7 +216,7 @@ OBEYED = 1 - 1e-12
 
 
 @dataclass(frozen=True)
-class Limits(Settings):
+class RigLimits(Settings):
     """Largest force of a shaker [N] and displacement of a probe [m], 0-to-peak; of the crest factor [1] of a
     force; None: no limit.
 
@@ -248,14 +248,14 @@ class EarlierInformation:
 
 
 @dataclass(frozen=True)
-class Rig:
+class PlannedRig:
     """Model, noise, limits and directions of the shakers (n_shaker, n_dof) [1], with their names; *spacing*
     of the lines [Hz]. earlier: what an earlier test tells, where it is combined with the planned one.
     """
 
     model: PlannedModel
-    noise: Noise
-    limits: Limits
+    noise: SensorDensities
+    limits: RigLimits
     directions: ComplexArray
     shakers: tuple[str, ...]
     spacing: float
@@ -274,7 +274,7 @@ class Rig:
         """Steady displacements (n_line, n_dof) [m] of a test."""
         return np.einsum("lij,lj->li", self.model.receptance(self.omega(test)), test.forces @ self.directions)
 
-    def over_limits(self, test: Multisines) -> ComplexArray:
+    def amplitudes_over_limits(self, test: Multisines) -> ComplexArray:
         """Amplitudes of forces, then probes over their limits, (n_line, n_shaker, n_signal) [1]."""
         running = running_shakers(test)
         unit = np.eye(len(self.shakers))[:, running] / self.limits.force
@@ -296,8 +296,8 @@ def running_shakers(test: Multisines) -> BoolArray:
     return np.any(np.abs(test.forces) > 0, axis=0)
 
 
-def as_large_as_allowed(
-    rig: Rig, test: Multisines, *, random_starts: int = 0, optimised: bool = True
+def enlarge_to_limits(
+    rig: PlannedRig, test: Multisines, *, random_starts: int = 0, optimised: bool = True
 ) -> Multisines:
     """The test with phases of least peak, unless they are not to be *optimised*, and every force as large as
     the limits allow. Without *random_starts* the phases are a first look.
@@ -305,19 +305,21 @@ def as_large_as_allowed(
     running = running_shakers(test)
     # Each shaker has its own limit: those that a design pushes less are not to worsen the phases.
     rms = np.where(running, np.sqrt(np.sum(np.abs(test.forces) ** 2, axis=0)), 1.0)
-    test = test.scaled(np.where(running, rig.limits.force / rms, 0.0))
+    test = test.scale(np.where(running, rig.limits.force / rms, 0.0))
     if optimised:
-        gains = rig.over_limits(test)[:, running]
+        gains = rig.amplitudes_over_limits(test)[:, running]
         phases = np.zeros(test.forces.shape)
         phases[:, running] = least_peak_phases(
             test.lines, gains, test.groups, random_starts=random_starts, quick=not random_starts
         )
-        test = test.turned(phases)
-    test = test.scaled(rig.limits.force / np.where(running, peaks(test.lines, test.forces), 1.0))
-    return test.scaled(OBEYED / max(float(peaks(test.lines, rig.over_limits(test).sum(axis=1)).max()), 1.0))
+        test = test.turn(phases)
+    test = test.scale(rig.limits.force / np.where(running, peaks(test.lines, test.forces), 1.0))
+    return test.scale(
+        OBEYED / max(float(peaks(test.lines, rig.amplitudes_over_limits(test).sum(axis=1)).max()), 1.0)
+    )
 
 
-def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
+def from_rest(rig: PlannedRig, test: Multisines, seconds: float) -> Multisines:
     """The test with its period begun where little motion starts and stops, and smaller forces where *seconds*
     [s] from rest still need it. Equation (plan-from-rest).
     """
@@ -331,12 +333,12 @@ def from_rest(rig: Rig, test: Multisines, seconds: float) -> Multisines:
     velocity = 1j * omega[:, None] * motion / rms
     states = one_period(test.lines, np.hstack([motion, velocity]), SAMPLES // 8)
     begins = np.argsort(np.sum(states**2, axis=0))[:STARTS] / states.shape[1]
-    shifted = [test.turned(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
+    shifted = [test.turn(2 * np.pi * test.lines[:, None] * begin) for begin in begins]
     moved = [float(largest_motion(rig, begun, seconds).max()) for begun in shifted]
-    return shifted[int(np.argmin(moved))].scaled(min(OBEYED * limit / min(moved), 1.0))
+    return shifted[int(np.argmin(moved))].scale(min(OBEYED * limit / min(moved), 1.0))
 
 
-def largest_motion(rig: Rig, test: Multisines, seconds: float) -> FloatArray:
+def largest_motion(rig: PlannedRig, test: Multisines, seconds: float) -> FloatArray:
     """Largest displacement (n_dof,) [m] of *seconds* [s] of a test that starts from rest, and of what moves
     on when it stops. The steady motion alone where what starts does not die away.
     """
@@ -380,7 +382,7 @@ class Settling:
         return np.einsum("tcs,ts->c", self.shift, self.begin @ np.linalg.matrix_power(self.over, skip).T)
 
 
-def settling(rig: Rig, timed: Campaign, periods: Sequence[int]) -> Settling | None:
+def settling(rig: PlannedRig, timed: PlannedCampaign, periods: Sequence[int]) -> Settling | None:
     """The effect of free motion on tests of *periods* measured periods each, at first order; None where it
     does not die away.
 
@@ -418,7 +420,7 @@ def crest_factors(test: Multisines) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class PlannedCampaign:
     """Tests, *shares* (n_test,) [1] of the time, relative *rate* (n, n) [1/s]; *earlier*: told besides."""
 
     tests: tuple[Multisines, ...]
@@ -439,18 +441,20 @@ class Campaign:
         return relative_errors(self.rate * duration + before)
 
 
-def with_shares(rig: Rig, tests: Sequence[Multisines], shares: FloatArray) -> Campaign:
+def with_shares(rig: PlannedRig, tests: Sequence[Multisines], shares: FloatArray) -> PlannedCampaign:
     """The tests with *shares* (n_test,) [1] of the time."""
     rates = np.stack([rig.rate(test) for test in tests])
-    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
+    return PlannedCampaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
 
 
-def equal_times(rig: Rig, tests: Sequence[Multisines]) -> Campaign:
+def equal_times(rig: PlannedRig, tests: Sequence[Multisines]) -> PlannedCampaign:
     """The tests with the same time each."""
     return with_shares(rig, tests, np.full(len(tests), 1 / len(tests)))
 
 
-def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: FloatArray) -> Campaign:
+def campaign(
+    rig: PlannedRig, tests: Sequence[Multisines], criterion: str, goals: FloatArray
+) -> PlannedCampaign:
     """The tests with the best division of the time among them; goals (n_coefficient,) [1]: as in `score`."""
     if len(tests) == 1:
         return equal_times(rig, tests)
@@ -461,7 +465,7 @@ def campaign(rig: Rig, tests: Sequence[Multisines], criterion: str, goals: Float
     design = optimum(criterion, relative, np.eye(wanted.size)[wanted])
     shares = np.maximum(design.shares, 0.02)
     shares = shares / shares.sum()
-    return Campaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
+    return PlannedCampaign(tuple(tests), shares, np.tensordot(shares, rates, 1), rig.earlier)
 
 
 def score(information: FloatArray, criterion: str, goals: FloatArray) -> float:

@@ -21,7 +21,7 @@ ACTIVE = 2e-3
 
 
 @dataclass(frozen=True)
-class Certificate:
+class DesignCertificate:
     """Efficiency of a design, the least it can be against the best of all: 1 where none is better.
 
     weights (n_coefficient, n_coefficient) [1]: W.
@@ -53,7 +53,7 @@ def weights_of(inverse: FloatArray, multipliers: FloatArray, wanted: FloatArray)
 
 def certificate(
     criterion: str, information: FloatArray, design: FloatArray, wanted: FloatArray
-) -> Certificate:
+) -> DesignCertificate:
     """That of a design with information *design* (n, n) [1/s] among candidates *information* (n_candidate, n,
     n) [1/s].
 
@@ -70,7 +70,7 @@ def certificate(
         A: total**2 / greatest / total,
         MINIMAX: total**2 / (greatest * float(q.sum())) / float(v.max()),
     }
-    return Certificate(efficiency[criterion], weights)
+    return DesignCertificate(efficiency[criterion], weights)
 
 
 def _multipliers(inverse: FloatArray, information: FloatArray, wanted: FloatArray) -> FloatArray:
@@ -112,7 +112,7 @@ class Design:
 
     shares: FloatArray
     information: FloatArray
-    certificate: Certificate
+    certificate: DesignCertificate
 
 
 def optimum(

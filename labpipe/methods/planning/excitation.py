@@ -20,13 +20,13 @@ from labpipe.bearings.kinds import OperatingPoint
 from labpipe.document.render import DOCUMENTS
 from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
-from labpipe.methods.planning.campaigns import Multisines, Rig as LimitedRig
+from labpipe.methods.planning.campaigns import Multisines, PlannedRig as LimitedRig
 from labpipe.methods.planning.model import AXES
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
 from labpipe.methods.planning.report import goal_sentence, plan_document, sentence
-from labpipe.methods.planning.settings import PlanKind, PlanSettings, TheorySettings
+from labpipe.methods.planning.settings import ExpectedTheorySettings, PlanKind, PlanSettings
 from labpipe.methods.planning.uncertainty import Earlier, Expected, Rehearse, rehearse
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.exports import write_signal
@@ -214,7 +214,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
         evaluation = Evaluation(settings, file.title, planned, with_masses, rig_path(file))
         with tempfile.TemporaryDirectory() as folder:
             pipeline = _load(evaluation, Path(folder))
-        return _of_coefficients(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
+        return _coefficient_budget(_rehearsed_fit(pipeline, rig, tests, periods), rig.model.names)
 
     return budget
 
@@ -245,7 +245,7 @@ def _rehearsed_fit(
     return fit
 
 
-def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
+def _coefficient_budget(fit: Fit, names: Sequence[str]) -> Budget | None:
     whole = fit.budget
     if whole is None:
         return None
@@ -257,7 +257,7 @@ def _of_coefficients(fit: Fit, names: Sequence[str]) -> Budget | None:
 def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
     """Plan the excitation and write its files; sentences on it, and the files' names."""
     settings: PlanSettings = file.settings
-    planned = make_plan(settings, _expected(file), file.title, rehearsal(file))
+    planned = make_plan(settings, _read_expected(file), file.title, rehearsal(file))
     plan = planned.plan
     names = _write_signals(planned, output)
     write_plan(output.write_path(NAME), plan)
@@ -272,7 +272,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     return sentences, [*names, NAME, REPORT, *files]
 
 
-def _expected(file: PlanFile) -> Expected:
+def _read_expected(file: PlanFile) -> Expected:
     settings = file.settings
     theory = {} if settings.theory is None else _theory(settings.theory, file.path.parent)
     typed = dict(settings.expected)
@@ -313,7 +313,7 @@ def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:
     return Earlier(names, noise, sources, fit.budget.changes[:, columns])
 
 
-def _theory(theory: TheorySettings, folder: Path) -> dict[str, float]:
+def _theory(theory: ExpectedTheorySettings, folder: Path) -> dict[str, float]:
     """k_xx ... c_yy [N/m, N.s/m] of a bearing's theory, its y and z the plan's x and y."""
     if theory.rig is not None:
         rig = theory.rig if theory.speed is None else theory.rig.at_speed(theory.speed)

@@ -94,7 +94,7 @@ class PlannedModel:
         parts = {"expected": self.expected[kept], "elements": self.elements[kept]}
         return replace(self, names=tuple(compress(self.names, kept)), given=self.given + fixed, **parts)
 
-    def with_expected(self, values: FloatArray) -> PlannedModel:
+    def with_values(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
         return replace(self, expected=np.asarray(values, float))
 
@@ -120,7 +120,7 @@ def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedMo
         what = "model rotor-2dof needs the mass of the rotor"
         raise SettingError("mass", what, "for example mass: 0.92 kg")
     inertia = np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
-    return _of_matrices("rotor-2dof", "kc", expected, inertia)
+    return _matrix_model("rotor-2dof", "kc", expected, inertia)
 
 
 def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
@@ -131,7 +131,7 @@ def floating(expected: Mapping[str, float], mass: float | None = None) -> Planne
         what = "model dynamic-stiffness needs the mass of the stator"
         raise SettingError("mass", what, "for example mass: 60 kg")
     letters = "kcm" if any(name.startswith("m") for name in expected) else "kc"
-    return _of_matrices("dynamic-stiffness", letters, expected, np.zeros((3, 2, 2)), mass)
+    return _matrix_model("dynamic-stiffness", letters, expected, np.zeros((3, 2, 2)), mass)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ MODELS = {
 }
 
 
-def _of_matrices(
+def _matrix_model(
     kind: str, letters: str, expected: Mapping[str, float], given: FloatArray, stator_mass: float = 0.0
 ) -> PlannedModel:
     """A model whose coefficients are all of the matrices of these letters."""
@@ -172,7 +172,7 @@ def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
 
 
 @dataclass(frozen=True)
-class Noise:
+class SensorDensities:
     """One-sided densities of the sensors' white noise: force [N/sqrt(Hz)], displacement [m/sqrt(Hz)],
     acceleration [m/(s^2.sqrt(Hz))]. one_force: only the force that acts is recorded.
     """
@@ -190,14 +190,16 @@ class Noise:
             raise SettingError("noise", what, "state the noise of force and displacement")
 
     @classmethod
-    def of_samples(cls, force: float, displacement: float, acceleration: float, sample_rate: float) -> Noise:
+    def of_samples(
+        cls, force: float, displacement: float, acceleration: float, sample_rate: float
+    ) -> SensorDensities:
         """From standard deviations per sample [N, m, m/s^2], S = s sqrt(2 / f_s). Equation (plan-noise)."""
         factor = float(np.sqrt(2 / sample_rate))
         return cls(force * factor, displacement * factor, acceleration * factor)
 
 
 def sensitivities(
-    model: PlannedModel, noise: Noise, omega: FloatArray, forces: ComplexArray | None = None
+    model: PlannedModel, noise: SensorDensities, omega: FloatArray, forces: ComplexArray | None = None
 ) -> ComplexArray:
     """L^-1 E_i H theta_i with L L^H = Lambda, (n_line, n_coefficient, n_dof, n_dof) [1/N.sqrt(Hz)], at omega
     (n_line,) [rad/s]; *forces* as of `residual_whitener`.
@@ -210,7 +212,7 @@ def sensitivities(
 
 
 def residual_whitener(
-    model: PlannedModel, noise: Noise, omega: FloatArray, forces: ComplexArray | None = None
+    model: PlannedModel, noise: SensorDensities, omega: FloatArray, forces: ComplexArray | None = None
 ) -> ComplexArray:
     """L^-1 of the noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega [rad/s]. Where
     one force alone is recorded, its noise is along *forces* (n_line, n_dof) [N], unless all other is zero.

@@ -12,13 +12,13 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import SettingError
 from labpipe.methods.planning import campaigns
-from labpipe.methods.planning.model import AXES, Noise, PlannedModel
+from labpipe.methods.planning.model import AXES, PlannedModel, SensorDensities
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
 from labpipe.methods.planning.runs import LONGEST, least_factor
 from labpipe.methods.planning.search import (
     FLAT_PHASES,
     LEAST_CREST,
-    Candidate,
+    DesignCandidate,
     Wanted,
     best,
     flat,
@@ -28,13 +28,13 @@ from labpipe.methods.planning.search import (
 from labpipe.methods.planning.settings import BEST, PlanSettings
 from labpipe.methods.planning.uncertainty import (
     Earlier,
-    Excitation,
     Expected,
+    ForceVectors,
     Goals,
     Rehearse,
     aims,
-    beside_earlier,
     calibration_notes,
+    combine_with_earlier,
     goals_of,
     identifiability,
     lasting_notes,
@@ -78,7 +78,7 @@ class Planned:
     """A plan with the rig it is for and the forces of its tests, phases included."""
 
     plan: Plan
-    rig: campaigns.Rig
+    rig: campaigns.PlannedRig
     tests: tuple[campaigns.Multisines, ...]
 
     def signals(self, test: int) -> dict[str, FloatArray]:
@@ -104,11 +104,11 @@ class _Question:
 
     settings: PlanSettings
     title: str
-    rig: campaigns.Rig
+    rig: campaigns.PlannedRig
     lines: IntArray
     goals: Goals
     wanted: Wanted
-    flats: Mapping[str, campaigns.Campaign]
+    flats: Mapping[str, campaigns.PlannedCampaign]
 
 
 def make_plan(
@@ -139,7 +139,7 @@ def make_plan(
         plan = _with_budget(plan, question, timed, budget, expected.earlier)
     if expected.earlier is not None:
         common = () if budget is None else tuple(source.source for source in budget.sources)
-        plan = _over_draws(plan, question, timed, expected.earlier, common)
+        plan = _plan_over_draws(plan, question, timed, expected.earlier, common)
     return Planned(plan, rig, timed.tests)
 
 
@@ -161,7 +161,7 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     if settings.combine_earlier:
         assert expected.earlier is not None
         common = () if first is None else tuple(source.source for source in first.sources)
-        prior = expected.earlier.beside(model, settings.duration, common)
+        prior = expected.earlier.information_beside(model, settings.duration, common)
         rig = replace(rig, earlier=prior)
         flats = {phases: replace(of_phases, earlier=prior) for phases, of_phases in flats.items()}
         if not np.all(np.diagonal(prior.information) > 0):
@@ -187,35 +187,35 @@ def _one_force(settings: PlanSettings) -> bool:
 
 
 def _with_budget(
-    plan: Plan, question: _Question, timed: campaigns.Campaign, budget: Budget, earlier: Earlier | None
+    plan: Plan, question: _Question, timed: campaigns.PlannedCampaign, budget: Budget, earlier: Earlier | None
 ) -> Plan:
     model, goals = question.rig.model, question.goals
     random = np.array([c.error_weighted * c.scale for c in plan.coefficients])
     if timed.earlier is not None and earlier is not None:
-        budget = beside_earlier(budget, earlier, timed, model, plan.duration)
+        budget = combine_with_earlier(budget, earlier, timed, model, plan.duration)
     budget = replace(budget, random=random, drawn=None)
     coefficients = with_uncertainty(plan.coefficients, budget)
     allowed = limits(goals, budget, model.scales)
     beyond = unreachable(goals, allowed)
     needed = None
     if goals.any and not np.any(beyond):
-        needed = _needed(question, timed, allowed / plan.factor, plan.duration)
+        needed = _duration_needed(question, timed, allowed / plan.factor, plan.duration)
     never = tuple(compress(model.names, beyond))
     calibrate = calibration_notes(goals, budget, random, model.scales)
     notes = (*plan.notes, *lasting_notes(coefficients), *calibrate)
     return replace(plan, coefficients=coefficients, needed=needed, unreachable=never, notes=notes)
 
 
-def _needed(
-    question: _Question, timed: campaigns.Campaign, allowed: FloatArray, duration: float
+def _duration_needed(
+    question: _Question, timed: campaigns.PlannedCampaign, allowed: FloatArray, duration: float
 ) -> float | None:
     least = FEWEST_PERIODS * len(timed.tests) * question.settings.period
     needed = max(time_needed(timed, allowed, duration), least)
     return needed if np.isfinite(needed) else None
 
 
-def _over_draws(
-    plan: Plan, question: _Question, timed: campaigns.Campaign, earlier: Earlier, common: Sequence[str]
+def _plan_over_draws(
+    plan: Plan, question: _Question, timed: campaigns.PlannedCampaign, earlier: Earlier, common: Sequence[str]
 ) -> Plan:
     rig, wanted = question.rig, question.wanted
     covariance = earlier.covariance_of(rig.model, common)
@@ -265,7 +265,7 @@ def weighting_factor(periods: int, of_spectra: bool) -> float:
     return float(np.interp(periods, list(OF_SPECTRA), list(OF_SPECTRA.values()))) if of_spectra else 1.0
 
 
-def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
+def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.PlannedRig:
     """The rig of the settings. ConfigError for shakers that the model does not have."""
     names = settings.shakers or AXES[: model.n_dof]
     if len(names) > model.n_dof:
@@ -277,10 +277,16 @@ def bench(settings: PlanSettings, model: PlannedModel) -> campaigns.Rig:
     stated = settings.noise_density or settings.noise
     assert stated is not None
     sizes = stated.force, stated.displacement, stated.acceleration
-    noise = Noise(*sizes) if settings.noise_density else Noise.of_samples(*sizes, settings.sample_rate)
+    noise = (
+        SensorDensities(*sizes)
+        if settings.noise_density
+        else SensorDensities.of_samples(*sizes, settings.sample_rate)
+    )
     noise = replace(noise, one_force=_one_force(settings))
-    limits = campaigns.Limits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
-    return campaigns.Rig(model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period)
+    limits = campaigns.RigLimits(settings.force_limit, settings.displacement_limit, settings.crest_factor)
+    return campaigns.PlannedRig(
+        model, noise, limits, directions.astype(complex), tuple(names), 1 / settings.period
+    )
 
 
 def _direction(name: str) -> tuple[float, float]:
@@ -292,17 +298,17 @@ def _direction(name: str) -> tuple[float, float]:
     return (float(np.cos(angle)), float(np.sin(angle)))
 
 
-def _check_identifiable(rig: campaigns.Rig, lines: IntArray) -> None:
+def _check_identifiable(rig: campaigns.PlannedRig, lines: IntArray) -> None:
     # Each direction on every line, one by one.
     frequency = np.repeat(rig.spacing * lines, len(rig.directions))
-    excitation = Excitation(frequency, np.tile(rig.directions, (lines.size, 1)))
+    excitation = ForceVectors(frequency, np.tile(rig.directions, (lines.size, 1)))
     identified = identifiability(rig.model, rig.noise, excitation)
     if not identified.full:
         what = f"with forces along {', '.join(rig.shakers)} {identified.words}"
         raise SettingError("shakers", what, identified.remedy)
 
 
-def _periods(settings: PlanSettings, design: campaigns.Campaign) -> tuple[int, ...]:
+def _periods(settings: PlanSettings, design: campaigns.PlannedCampaign) -> tuple[int, ...]:
     whole = settings.duration / settings.period
     periods = tuple(int(share * whole + 0.5) for share in design.shares)
     if min(periods) < FEWEST_PERIODS:
@@ -314,7 +320,10 @@ def _periods(settings: PlanSettings, design: campaigns.Campaign) -> tuple[int, .
 
 
 def _skip(
-    settings: PlanSettings, rig: campaigns.Rig, design: campaigns.Campaign, periods: tuple[int, ...]
+    settings: PlanSettings,
+    rig: campaigns.PlannedRig,
+    design: campaigns.PlannedCampaign,
+    periods: tuple[int, ...],
 ) -> int:
     """Transient periods of a test: as asked for, or until free motion no longer counts, one at least."""
     if settings.skip is not None:
@@ -330,7 +339,7 @@ def _settled_after(motion: campaigns.Settling, errors: FloatArray) -> int:
 
 
 def settling_notes(
-    rig: campaigns.Rig, timed: campaigns.Campaign, periods: tuple[int, ...], skip: int
+    rig: campaigns.PlannedRig, timed: campaigns.PlannedCampaign, periods: tuple[int, ...], skip: int
 ) -> Iterator[str]:
     """What it costs where motion that starts with a test is not waited for to die away."""
     motion = campaigns.settling(rig, timed, periods)
@@ -349,7 +358,11 @@ def settling_notes(
 
 
 def _plan(
-    question: _Question, design: Candidate, timed: campaigns.Campaign, periods: tuple[int, ...], skip: int
+    question: _Question,
+    design: DesignCandidate,
+    timed: campaigns.PlannedCampaign,
+    periods: tuple[int, ...],
+    skip: int,
 ) -> Plan:
     settings, rig, wanted = question.settings, question.rig, question.wanted
     duration = sum(periods) * settings.period
@@ -373,20 +386,22 @@ def _plan(
         coefficients=tuple(_coefficients(question, timed, factor, duration)),
         tests=tuple(planned_test(rig, test, n, skip) for test, n in zip(timed.tests, periods, strict=True)),
         gains=gains,
-        needed=_needed(question, timed, wanted.goals / factor, duration) if question.goals.any else None,
+        needed=_duration_needed(question, timed, wanted.goals / factor, duration)
+        if question.goals.any
+        else None,
         mass=settings.mass,
         notes=(*_notes(rig, question.lines, design, wanted), *settling_notes(rig, timed, periods, skip)),
         combined=rig.earlier is not None,
     )
 
 
-def _poor(tests: campaigns.Campaign, wanted: Wanted) -> float:
+def _poor(tests: campaigns.PlannedCampaign, wanted: Wanted) -> float:
     """How poor the tests are, by what is wanted."""
     return campaigns.score(tests.information, wanted.criterion, wanted.goals)
 
 
 def _coefficients(
-    question: _Question, timed: campaigns.Campaign, factor: float, duration: float
+    question: _Question, timed: campaigns.PlannedCampaign, factor: float, duration: float
 ) -> Iterator[PlannedCoefficient]:
     model, goals = question.rig.model, question.goals
     errors, others = timed.errors(duration), question.flats[LEAST_CREST].errors(duration)
@@ -406,7 +421,7 @@ def _coefficients(
         )
 
 
-def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: float) -> float:
+def time_needed(campaign: campaigns.PlannedCampaign, limits: FloatArray, duration: float) -> float:
     """Time [s] of the campaign after which no relative standard error exceeds its limit (n_coefficient,) [1],
     of a *duration* [s] or not. Infinite where more than LONGEST times the duration would be needed.
     """
@@ -416,7 +431,9 @@ def time_needed(campaign: campaigns.Campaign, limits: FloatArray, duration: floa
     return duration * least_factor(low, lambda factor: np.all(campaign.errors(duration * factor) <= limits))
 
 
-def planned_test(rig: campaigns.Rig, test: campaigns.Multisines, periods: int, skip: int) -> PlannedTest:
+def planned_test(
+    rig: campaigns.PlannedRig, test: campaigns.Multisines, periods: int, skip: int
+) -> PlannedTest:
     """A test of *periods* periods, after *skip* that are dropped, as it is written down."""
     running = campaigns.running_shakers(test)
     forces = test.forces[:, running]
@@ -439,14 +456,18 @@ def planned_test(rig: campaigns.Rig, test: campaigns.Multisines, periods: int, s
     )
 
 
-def _notes(rig: campaigns.Rig, lines: IntArray, design: Candidate, wanted: Wanted) -> tuple[str, ...]:
+def _notes(
+    rig: campaigns.PlannedRig, lines: IntArray, design: DesignCandidate, wanted: Wanted
+) -> tuple[str, ...]:
     notes = []
     if design.criterion == "flat":
         notes.append(FLAT_IS_BEST)
     elif design.floor == 0:
         notes.append(NO_FLOOR)
     if len(rig.shakers) < rig.model.n_dof:
-        both = campaigns.Rig(rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing)
+        both = campaigns.PlannedRig(
+            rig.model, rig.noise, rig.limits, np.eye(2, dtype=complex), AXES, rig.spacing
+        )
         ratio = _poor(design.campaign, wanted) / _poor(flat(both, lines, campaigns.ONE_BY_ONE), wanted)
         if ratio > MUCH_WORSE:
             alone = f"Forces along {rig.shakers[0]} alone leave errors {ratio:.2g} times those"

@@ -13,12 +13,12 @@ from labpipe import __version__
 from labpipe.artefacts.json_file import BAD_ENTRY, entry_of, read_digested, record_of, write_digested
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.document.render import DOCUMENTS
-from labpipe.errors import ConfigError, DataError, LabpipeError, cut
+from labpipe.errors import ConfigError, DataError, LabpipeError, shorten
 from labpipe.methods.planning.records import Plan, RunPlan
 from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
 from labpipe.methods.planning.settings import PLANS, PlanKind
 from labpipe.project.marked_yaml import Marked, load_marked
-from labpipe.project.schema import of_kinds
+from labpipe.project.schema import kinds_schema
 from labpipe.project.settings_reader import DECIDE, Faults, read_settings
 from labpipe.registry import nearest
 from labpipe.report.document import Document, Section
@@ -27,7 +27,7 @@ KEYS = ("title", "plan")
 
 
 def plan_schema() -> dict[str, Any]:
-    plan = of_kinds("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
+    plan = kinds_schema("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
     entries = {"type": "object", "properties": properties, "required": ["plan"]}
@@ -98,12 +98,12 @@ def read_plan(path: Path) -> Plan | RunPlan:
         entries = read_digested(path, "plan")
         kinds = {schema: kind for kind, schema in SCHEMAS.items()}
         if entries["schema"] not in kinds:
-            raise ValueError(f"schema {cut(repr(entries['schema']))}")
+            raise ValueError(f"schema {shorten(repr(entries['schema']))}")
         plan: Plan | RunPlan = record_of(entries, kinds[entries["schema"]])
     except FileNotFoundError:
         raise DataError("no such file", path, "run `labpipe plan` first") from None
     except BAD_ENTRY as error:
-        what = f"is not a readable plan ({cut(str(error))})"
+        what = f"is not a readable plan ({shorten(str(error))})"
         raise DataError(what, path, "run `labpipe plan` again") from None
     return plan
 

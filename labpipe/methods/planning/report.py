@@ -59,7 +59,7 @@ def plan_document(plan: records.Plan, version: str) -> Document:
 
 
 def sentence(plan: records.Plan) -> str:
-    worst = max(plan.coefficients, key=_over_goal if plan.with_goals else lambda c: c.error)
+    worst = max(plan.coefficients, key=_ratio_to_goal if plan.with_goals else lambda c: c.error)
     tests = ", ".join(f"{test.name} {test.periods} periods" for test in plan.tests)
     gain = dict(plan.gains)["least crest"]
     rank = "tightest against its goal" if plan.with_goals else "least certain"
@@ -117,7 +117,7 @@ def _coefficients(plan: records.Plan) -> Table:
     rows = tuple(
         (
             c.name,
-            _expected(c),
+            _expected_text(c),
             "" if c.goal is None else per_cent(c.goal),
             per_cent(c.error),
             " to ".join(map(per_cent, c.error_range or ())) or open_end,
@@ -148,7 +148,7 @@ def _uncertainty(plan: records.Plan) -> Iterator[Section]:
     yield Section("Predicted uncertainty", (table, Paragraph(BUDGETED)))
 
 
-def _expected(coefficient: records.PlannedCoefficient) -> str:
+def _expected_text(coefficient: records.PlannedCoefficient) -> str:
     shown = shown_unit(coefficient.unit, coefficient.scale)
     return f"{to_display(coefficient.expected, shown):.5g} {shown}"
 
@@ -191,7 +191,7 @@ def _spectrum(plan: records.Plan) -> Figure:
     return Figure(stack(panels, 2.8 * len(panels)), caption, f"Force spectrum of the plan {plan.title}")
 
 
-def _over_goal(coefficient: records.PlannedCoefficient) -> float:
+def _ratio_to_goal(coefficient: records.PlannedCoefficient) -> float:
     parts = [coefficient.error_weighted / coefficient.goal] if coefficient.goal else []
     parts += [(coefficient.expanded or 0.0) / coefficient.goal_expanded] if coefficient.goal_expanded else []
     return max(parts, default=0.0)

@@ -21,7 +21,7 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.methods.planning.plan_file import PIPELINE, ROTOR, PlanFile, write_runs
 from labpipe.methods.planning.report import run_names, run_sentences
-from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.runs import Answered, CandidateRun, Change, RunQuantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_distinct, check_relative, criterion_setting
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.joint import EXPONENTS, MeasuredThreshold, family_about
@@ -223,7 +223,7 @@ class RunUpChoice:
     settings: RunUpPlanSettings
     expected: ExpectedRig
 
-    def all_runs(self) -> Iterator[RunCandidate]:
+    def iterate_runs(self) -> Iterator[RunCandidate]:
         """Every load with every trial over every stretch of the speeds."""
         settings = self.settings
         stretches = np.array_split(settings.omega, settings.stretches)
@@ -244,8 +244,8 @@ class RunUpChoice:
         """The runs at the speeds that the limits allow, and what to note of it."""
         limits = self.settings.displacement_limit, self.settings.journal_limit
         kept, cut, whole = [], 0, 0
-        for candidate in self.all_runs():
-            allowed = at_allowed_speeds(self.expected, candidate, *limits)
+        for candidate in self.iterate_runs():
+            allowed = limit_speeds(self.expected, candidate, *limits)
             kept += [] if allowed is None else [allowed]
             full = allowed is not None and allowed.speed.size == candidate.speed.size
             cut, whole = cut + (not full), whole + full
@@ -261,7 +261,7 @@ class RunUpChoice:
         return expected_run(self.expected, candidate)
 
     @cached_property
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[CandidateRun, ...]:
         dwell = self.settings.dwell
         conditions = []
         for candidate in self._allowed[0]:
@@ -275,7 +275,7 @@ class RunUpChoice:
             )
             seconds = dwell * candidate.speed.size + self.settings.changeover
             of_run = information(self.expected, candidate)
-            conditions.append(Condition(candidate.name, seconds, words, of_run))
+            conditions.append(CandidateRun(candidate.name, seconds, words, of_run))
         return tuple(conditions)
 
     def plan(self, title: str) -> Answered:
@@ -312,7 +312,7 @@ class RunUpChoice:
                 words = " and ".join(change.words for change in chosen)
                 yield Change(words, size, (*self.conditions, *extra), parameters)
 
-    def _others(self, **changes: Any) -> tuple[Condition, ...]:
+    def _others(self, **changes: Any) -> tuple[CandidateRun, ...]:
         """Conditions under other settings; none where no run is possible."""
         settings = replace(self.settings, to_threshold=False, **changes)
         try:
@@ -320,14 +320,14 @@ class RunUpChoice:
         except (ConfigError, FitError):
             return ()
 
-    def _quantities(self) -> Iterator[Quantity]:
+    def _quantities(self) -> Iterator[RunQuantity]:
         settings, expected = self.settings, self.expected
         goals = {name: values[0] for name, values in settings.goal}
         for number, name in enumerate(PARAMETERS):
             if name not in settings.known:
                 value = float(expected.values[number])
                 shown = value if name in EXPONENTS else float(np.exp(value))
-                yield Quantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
+                yield RunQuantity(name, "1", shown, np.eye(len(PARAMETERS))[number], goals.get(name), 1.0)
         if settings.at_load is None:
             return
         for name in SPEEDS:
@@ -335,7 +335,7 @@ class RunUpChoice:
             if at_speed is not None:
                 value, row = at_speed
                 goal = None if name not in goals else goals[name] * value
-                yield Quantity(name, "rad/s", value, row, goal, value)
+                yield RunQuantity(name, "rad/s", value, row, goal, value)
             elif name in goals:
                 what = f"no {name} is expected under {settings.at_load:g} N"
                 raise SettingError("goal", what, "leave its goal out")
@@ -347,7 +347,7 @@ class RunUpChoice:
             for name, value, row, size in zip(COEFFICIENTS, eight[0].tolist(), slopes[0], sizes, strict=True):
                 unit = "N/m" if name.startswith("k") else "N.s/m"
                 goal = None if name not in goals else goals[name] * size
-                yield Quantity(name, unit, value, row, goal, size)
+                yield RunQuantity(name, unit, value, row, goal, size)
 
 
 def _speed_row(expected: ExpectedRig, load: float, name: str) -> tuple[float, FloatArray] | None:
@@ -458,7 +458,7 @@ def expected_run(expected: ExpectedRig, candidate: RunCandidate) -> RunUp:
         shaker=candidate.shaker,
     )
     matrices = expected.family.at_load(expected.values, candidate.load)(speed)
-    response = rig.excited(unit).response(*matrices).reshape(shape)
+    response = rig.excite(unit).response(*matrices).reshape(shape)
     reading = expected.reading
     floor = reading.displacement / np.abs(response)
     threshold = expected.threshold(candidate.load) if candidate.to_threshold else None
@@ -489,7 +489,7 @@ def information(expected: ExpectedRig, candidate: RunCandidate) -> FloatArray:
     return np.asarray(matrix)
 
 
-def at_allowed_speeds(
+def limit_speeds(
     expected: ExpectedRig,
     candidate: RunCandidate,
     displacement_limit: float | None = None,
@@ -506,6 +506,6 @@ def at_allowed_speeds(
     if displacement_limit is not None:
         good &= np.all(largest_displacement(run.response) <= displacement_limit, axis=1)
     if journal_limit is not None:
-        journal = expected.rig.excited(run).journal(stiffness, damping)[0]
+        journal = expected.rig.excite(run).journal(stiffness, damping)[0]
         good &= largest_displacement(journal) <= journal_limit
     return replace(candidate, speed=candidate.speed[good]) if np.count_nonzero(good) > 1 else None

@@ -78,7 +78,7 @@ def best_runs(criterion: str, choices: RunChoices, duration: float, wanted: Floa
     design = separate or optimum(criterion, whole, wanted)
     begun = np.floor(design.shares * duration / choices.cost + 1e-9).astype(int)
     if separate:
-        begun = _one_each(choices, begun, duration)
+        begun = _require_one_each(choices, begun, duration)
     counts = _fill(criterion, choices, duration, wanted, begun)
     counts = _exchange(criterion, choices, duration, wanted, counts)
     information = choices.of(counts)
@@ -119,7 +119,7 @@ def _separate(criterion: str, whole: FloatArray, choices: RunChoices, wanted: Fl
     return Design(shares, together, certificate(criterion, whole, together, wanted))
 
 
-def _one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
+def _require_one_each(choices: RunChoices, counts: IntArray, duration: float) -> IntArray:
     """The counts with one run of every kind at least, fewer of the most frequent where time is short."""
     counts = np.maximum(counts, 1)
     while float(counts @ choices.cost) > duration * (1 + 1e-9) and counts.max() > 1:
@@ -188,7 +188,7 @@ def errors_after(choices: RunChoices, counts: FloatArray | IntArray, wanted: Flo
 
 def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
     """Standard errors (n_wanted,) [1] that no number of runs goes below: those known before."""
-    unseen = undetermined(choices)
+    unseen = undetermined_combinations(choices)
     if unseen.size == 0:
         return np.zeros(len(wanted))
     involved = wanted @ unseen
@@ -196,7 +196,7 @@ def lasting_errors(choices: RunChoices, wanted: FloatArray) -> FloatArray:
     return np.where(np.any(np.abs(involved) > 1e-6, axis=1), errors, 0.0)
 
 
-def undetermined(choices: RunChoices) -> FloatArray:
+def undetermined_combinations(choices: RunChoices) -> FloatArray:
     """Combinations (n, n_unseen) [1] of parameters of which no run tells anything."""
     n = len(choices.prior)
     free = np.arange(n) if choices.settled is None else np.flatnonzero(~choices.settled)
@@ -241,7 +241,7 @@ def least_factor(low: float, enough: Callable[[float], object]) -> float:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RunQuantity:
     """A number that the runs tell: *row* (n,) [unit per parameter unit], its derivatives by the parameters;
     *goal* [unit], None for none. scale [unit]: what its errors are shown relative to, None for none.
     """
@@ -255,7 +255,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Condition:
+class CandidateRun:
     """A candidate: one run of *seconds* [s] under *conditions* in words, its information (n, n) [1]."""
 
     name: str
@@ -270,7 +270,7 @@ class Change:
 
     words: str
     size: int
-    conditions: tuple[Condition, ...]
+    conditions: tuple[CandidateRun, ...]
     settled: tuple[str, ...] = ()
 
 
@@ -286,8 +286,8 @@ class RunQuestion:
     parameters: tuple[str, ...]
     units: FloatArray
     prior: FloatArray
-    conditions: tuple[Condition, ...]
-    quantities: tuple[Quantity, ...]
+    conditions: tuple[CandidateRun, ...]
+    quantities: tuple[RunQuantity, ...]
     duration: float
     criterion: str
     settled: tuple[str, ...] = ()
@@ -310,7 +310,7 @@ class Answered:
     plan: RunPlan
     covariance: FloatArray
 
-    def noted(self, notes: Iterable[str]) -> Answered:
+    def add_notes(self, notes: Iterable[str]) -> Answered:
         return replace(self, plan=replace(self.plan, notes=(*self.plan.notes, *notes)))
 
 
@@ -348,7 +348,7 @@ def plan_runs(question: RunQuestion, title: str, model: str, notes: Sequence[str
 
 
 def _check_open(
-    question: RunQuestion, choices: RunChoices, aimed: Sequence[Quantity], wanted: FloatArray
+    question: RunQuestion, choices: RunChoices, aimed: Sequence[RunQuantity], wanted: FloatArray
 ) -> None:
     lasting = lasting_errors(choices, wanted)
     pairs = list(zip(aimed, lasting, strict=True))
@@ -365,17 +365,19 @@ def _check_open(
 
 
 def _words(names: Sequence[str], choices: RunChoices, units: FloatArray) -> tuple[str, ...]:
-    return tuple(combination_text(names, direction * units) for direction in undetermined(choices).T)
+    return tuple(
+        combination_text(names, direction * units) for direction in undetermined_combinations(choices).T
+    )
 
 
 def _remedies(question: RunQuestion) -> tuple[str, ...]:
-    if undetermined(question.choices()).size == 0:
+    if undetermined_combinations(question.choices()).size == 0:
         return ()
     helpful: list[Change] = []
     for change in question.remedies:
         if helpful and change.size > helpful[-1].size:
             break
-        helpful += [change] if undetermined(question.choices(change)).size == 0 else []
+        helpful += [change] if undetermined_combinations(question.choices(change)).size == 0 else []
     return tuple(change.words for change in helpful)
 
 
@@ -393,7 +395,11 @@ def _gain(
 
 
 def _numbers(
-    quantities: Sequence[Quantity], rows: FloatArray, choices: RunChoices, design: RunDesign, flat: FloatArray
+    quantities: Sequence[RunQuantity],
+    rows: FloatArray,
+    choices: RunChoices,
+    design: RunDesign,
+    flat: FloatArray,
 ) -> list[PlannedNumber]:
     after, even = errors_after(choices, design.counts, rows), errors_after(choices, flat, rows)
     before, lasting = errors_after(choices, 0 * flat, rows), lasting_errors(choices, rows)
@@ -417,7 +423,7 @@ def _finite(error: float) -> float | None:
     return float(error) if np.isfinite(error) else None
 
 
-def _runs(conditions: Sequence[Condition], design: RunDesign) -> list[PlannedRun]:
+def _runs(conditions: Sequence[CandidateRun], design: RunDesign) -> list[PlannedRun]:
     return [
         PlannedRun(condition.name, int(count), condition.seconds, float(share), condition.conditions)
         for condition, count, share in zip(conditions, design.counts, design.shares, strict=True)

@@ -13,17 +13,17 @@ from labpipe.errors import SettingError
 from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     SCHEMES,
-    Campaign,
     Multisines,
-    Rig,
-    as_large_as_allowed,
+    PlannedCampaign,
+    PlannedRig,
     campaign,
     crest_factors,
+    enlarge_to_limits,
     equal_times,
     score,
 )
-from labpipe.methods.planning.designs import CRITERIA, Certificate, Design, optimum
-from labpipe.methods.planning.model import Noise, PlannedModel, sensitivities, vector_information
+from labpipe.methods.planning.designs import CRITERIA, Design, DesignCertificate, optimum
+from labpipe.methods.planning.model import PlannedModel, SensorDensities, sensitivities, vector_information
 from labpipe.raw_files.excitation import schroeder_phases
 
 
@@ -44,7 +44,7 @@ class Candidates:
 
 def candidates(
     model: PlannedModel,
-    noise: Noise,
+    noise: SensorDensities,
     omega: FloatArray,
     directions: ComplexArray,
     displacement_share: float = 0.0,
@@ -98,44 +98,44 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Source:
+class DesignStart:
     """A design on the shakers: where it comes from, and its power (n_line, n_shaker) [1] before scaling.
     floor [1]: share of the power that is on all lines alike.
     """
 
     criterion: str
     scheme: str
-    certificate: Certificate | None
+    certificate: DesignCertificate | None
     power: FloatArray
     floor: float
 
 
 @dataclass(frozen=True)
-class Candidate(Source):
+class DesignCandidate(DesignStart):
     """A design with what it tells at the limits."""
 
-    campaign: Campaign
+    campaign: PlannedCampaign
 
 
-def flat(rig: Rig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> Campaign:
+def flat(rig: PlannedRig, lines: IntArray, scheme: str, phases: str = BOTH_LIMITS) -> PlannedCampaign:
     """Equal amplitudes on all lines (n_line,) [multiples] and shakers, equal times, with these *phases*."""
     tests = SCHEMES[scheme](lines, np.ones((lines.size, len(rig.shakers))), rig.shakers)
     if phases == SCHROEDER:
-        tests = tuple(test.turned(schroeder_phases(test.lines)[:, None]) for test in tests)
+        tests = tuple(test.turn(schroeder_phases(test.lines)[:, None]) for test in tests)
     if phases == LEAST_CREST:
         alone = replace(rig, limits=replace(rig.limits, displacement=None))
-        tests = tuple(as_large_as_allowed(alone, test, random_starts=CLOSE_STARTS) for test in tests)
+        tests = tuple(enlarge_to_limits(alone, test, random_starts=CLOSE_STARTS) for test in tests)
     kind: Any = {"random_starts": CLOSE_STARTS, "optimised": phases == BOTH_LIMITS}
-    return equal_times(rig, [as_large_as_allowed(rig, test, **kind) for test in tests])
+    return equal_times(rig, [enlarge_to_limits(rig, test, **kind) for test in tests])
 
 
-def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Candidate:
+def best(rig: PlannedRig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> DesignCandidate:
     """The design that tells most, of lines (n_line,) [multiples]. ConfigError where no crest factor fits."""
 
-    def poor(candidate: Candidate) -> float:
+    def poor(candidate: DesignCandidate) -> float:
         return score(candidate.campaign.information, wanted.criterion, wanted.goals)
 
-    def crest(candidate: Candidate) -> float:
+    def crest(candidate: DesignCandidate) -> float:
         return max(float(crest_factors(test).max()) for test in candidate.campaign.tests)
 
     looked = [_look(rig, lines, wanted, source, 0) for source in _sources(rig, lines, wanted, schemes)]
@@ -151,12 +151,12 @@ def best(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> C
     return min(close, key=poor)
 
 
-def reference(rig: Rig, lines: IntArray, wanted: Wanted) -> Design:
+def reference(rig: PlannedRig, lines: IntArray, wanted: Wanted) -> Design:
     """The optimum on lines (n_line,) [multiples] at equal mean square force, floor included."""
     return _design(_candidates(rig, lines, 0.0), wanted, wanted.criterion, wanted.floor)
 
 
-def _candidates(rig: Rig, lines: IntArray, share: float) -> Candidates:
+def _candidates(rig: PlannedRig, lines: IntArray, share: float) -> Candidates:
     """All lines and shakers at a displacement's *share* [1] in the cost, with what is known before."""
     stroke = (rig.limits.displacement or 1.0) / rig.limits.force
     omega = 2 * np.pi * rig.spacing * lines
@@ -192,7 +192,9 @@ def _balance(pool: Candidates, wanted: Wanted, criterion: str, floor: float, n_s
     return replace(design, shares=design.shares / factor)
 
 
-def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) -> Iterator[Source]:
+def _sources(
+    rig: PlannedRig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]
+) -> Iterator[DesignStart]:
     limited = rig.limits.displacement is not None
     at_once = [scheme for scheme in schemes if scheme != ONE_BY_ONE]
     for share in DISPLACEMENT_SHARES if limited else (0.0,):
@@ -204,24 +206,26 @@ def _sources(rig: Rig, lines: IntArray, wanted: Wanted, schemes: Sequence[str]) 
                 if ONE_BY_ONE in schemes:
                     design = _design(choices, wanted, criterion, floor)
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield Source(criterion, ONE_BY_ONE, *source)
+                    yield DesignStart(criterion, ONE_BY_ONE, *source)
                 if at_once:
                     design = _balance(choices, wanted, criterion, floor, len(rig.shakers))
                     source = design.certificate, _power(choices, design, lines), floor
-                    yield from (Source(criterion, name, *source) for name in at_once)
+                    yield from (DesignStart(criterion, name, *source) for name in at_once)
     for scheme in schemes:
-        yield Source("flat", scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
+        yield DesignStart("flat", scheme, None, np.ones((lines.size, len(rig.shakers))), wanted.floor)
 
 
 def _power(pool: Candidates, design: Design, lines: IntArray) -> FloatArray:
     return (design.shares / pool.cost).reshape(lines.size, -1)
 
 
-def _look(rig: Rig, lines: IntArray, wanted: Wanted, source: Source, random_starts: int) -> Candidate:
+def _look(
+    rig: PlannedRig, lines: IntArray, wanted: Wanted, source: DesignStart, random_starts: int
+) -> DesignCandidate:
     tests: tuple[Multisines, ...] = SCHEMES[source.scheme](lines, source.power, rig.shakers)
-    large = [as_large_as_allowed(rig, test, random_starts=random_starts) for test in tests]
+    large = [enlarge_to_limits(rig, test, random_starts=random_starts) for test in tests]
     told = campaign(rig, large, wanted.criterion, wanted.goals)
-    return Candidate(**vars(source) | {"campaign": told})
+    return DesignCandidate(**vars(source) | {"campaign": told})
 
 
 def schemes_of(n_shaker: int, wanted: str) -> tuple[str, ...]:

@@ -73,7 +73,7 @@ def check_distinct(settings: Any, *fields: str) -> None:
 
 
 @dataclass(frozen=True)
-class TheorySettings(Settings):
+class ExpectedTheorySettings(Settings):
     """A bearing whose theory is expected, by its file or on a rotor file's rotor; *rig*: of `rotor`."""
 
     bearing: str = setting(
@@ -133,9 +133,9 @@ class PlanSettings(SignalSettings):
     combine_earlier: bool = setting(
         "flag", "the earlier result counts: it and the new test are combined", default=False
     )
-    theory: TheorySettings | None = section(
+    theory: ExpectedTheorySettings | None = section(
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
-        TheorySettings,
+        ExpectedTheorySettings,
         None,
     )
     mass: float | None = quantity(

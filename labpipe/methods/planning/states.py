@@ -17,13 +17,13 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import SettingError
 from labpipe.methods.planning import plan
-from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, Rig
+from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, PlannedRig
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
 from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
 from labpipe.methods.planning.plan_file import PlanFile, write_runs
 from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
-from labpipe.methods.planning.runs import Answered, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.runs import Answered, CandidateRun, RunQuantity, RunQuestion, plan_runs
 from labpipe.methods.planning.search import BOTH_LIMITS, flat
 from labpipe.methods.planning.settings import (
     PlanKind,
@@ -115,7 +115,7 @@ class StatePlanSettings(SignalSettings):
 
 
 @dataclass(frozen=True)
-class Common:
+class CommonNumber:
     """A number that all states have in common: value [unit], standard error known before, if any."""
 
     name: str
@@ -144,7 +144,7 @@ class StateTest:
     """The test of a state: rig, multisine, information (8, 8) [1/units] of the coefficients by one run."""
 
     state: BearingState
-    rig: Rig
+    rig: PlannedRig
     multisine: Multisines
     planned: PlannedTest
     information: FloatArray
@@ -167,7 +167,7 @@ def state_test(settings: StatePlanSettings, state: BearingState) -> StateTest:
 
 
 def question_of(
-    settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[Common]
+    settings: StatePlanSettings, tests: Sequence[StateTest], common: Sequence[CommonNumber]
 ) -> RunQuestion:
     """What is asked of the runs: parameters are the numbers in common, or where there are none the
     coefficients of every state. Equation (plan-states).
@@ -192,7 +192,7 @@ def question_of(
             ("displacement", f"{1e6 * max(test.planned.peak_displacement):.3g} um peak"),
         )
         information = rows.T @ test.information @ rows
-        conditions.append(Condition(test.state.name, settings.seconds, words, information))
+        conditions.append(CandidateRun(test.state.name, settings.seconds, words, information))
     wanted, duration = tuple(_quantities(settings, tests, slopes, common)), settings.duration
     return RunQuestion(parameters, units, prior, tuple(conditions), wanted, duration, settings.criterion)
 
@@ -201,19 +201,19 @@ def _quantities(
     settings: StatePlanSettings,
     tests: Sequence[StateTest],
     slopes: Sequence[FloatArray],
-    common: Sequence[Common],
-) -> Iterator[Quantity]:
+    common: Sequence[CommonNumber],
+) -> Iterator[RunQuantity]:
     goals = {name: values[0] for name, values in settings.goal}
     for row, entry in zip(np.eye(len(common)), common, strict=True):
         size = abs(entry.value)
         goal = goals[entry.name] * size if entry.name in goals else None
-        yield Quantity(entry.name, entry.unit, entry.value, row, goal, size)
+        yield RunQuantity(entry.name, entry.unit, entry.value, row, goal, size)
     for test, rows in zip(tests, slopes, strict=True):
         model = test.state.model
         for name, value, scale, row in zip(COEFFICIENTS, model.expected, model.scales, rows, strict=True):
             goal = goals[name] * float(scale) if name in goals else None
             label = f"{name}[{test.state.name}]"
-            yield Quantity(label, UNITS[name[0]], float(value), row, goal, float(scale))
+            yield RunQuantity(label, UNITS[name[0]], float(value), row, goal, float(scale))
 
 
 STEP = 1e-2
@@ -257,12 +257,14 @@ def plan_states(
     tests = [state_test(settings, state) for state in planned_states(settings, bearing, common)]
     answered = plan_runs(question_of(settings, tests, common), title, settings.model)
     if common and len(answered.plan.runs) < len(tests):
-        answered = answered.noted([UNTESTED])
+        answered = answered.add_notes([UNTESTED])
     of_state = {test.state.name: test for test in tests}
-    return answered.noted(note for run in answered.plan.runs for note in of_state[run.name].notes), of_state
+    return answered.add_notes(
+        note for run in answered.plan.runs for note in of_state[run.name].notes
+    ), of_state
 
 
-def common_number(bearing: BearingFile, name: str) -> Common:
+def common_number(bearing: BearingFile, name: str) -> CommonNumber:
     """A number of the bearing file that all states have in common; SettingError for what is none."""
     declared = settings_of(bearing.kind.settings)
     values = (key for key, (declaration, _) in declared.items() if declaration.kind == "value")
@@ -275,11 +277,11 @@ def common_number(bearing: BearingFile, name: str) -> Common:
         raise SettingError("estimate", f"the bearing file gives no {name}", "state it there")
     uncertainty = bearing.uncertainties.get(name)
     std_error = None if uncertainty is None else uncertainty.std_error
-    return Common(name, float(value), declared[name][0].unit, std_error)
+    return CommonNumber(name, float(value), declared[name][0].unit, std_error)
 
 
 def planned_states(
-    settings: StatePlanSettings, bearing: BearingFile, common: Sequence[Common]
+    settings: StatePlanSettings, bearing: BearingFile, common: Sequence[CommonNumber]
 ) -> list[BearingState]:
     """The bearing at each load and speed of the plan, with its slopes by what all states have in *common*."""
     points = [(load, speed) for load in settings.loads for speed in settings.speeds]

@@ -21,7 +21,7 @@ from labpipe.display import difference_in, per_cent, shown_unit
 from labpipe.distributions import coverage_factor
 from labpipe.errors import SettingError
 from labpipe.methods.planning import campaigns
-from labpipe.methods.planning.model import Noise, PlannedModel, relative_errors, sensitivities
+from labpipe.methods.planning.model import PlannedModel, SensorDensities, relative_errors, sensitivities
 from labpipe.methods.planning.records import PlannedCoefficient
 from labpipe.methods.planning.settings import EXPANDED, PlanSettings
 from labpipe.raw_files.excitation import peaks
@@ -40,7 +40,7 @@ OTHER = 0.25
 
 
 @dataclass(frozen=True)
-class Excitation:
+class ForceVectors:
     """Force vectors (n_vector, n_dof) [N] at frequencies (n_vector,) [Hz]."""
 
     frequency: FloatArray
@@ -75,7 +75,7 @@ class Identifiability:
         return f"{' or '.join(self.remedies)} would determine all" if self.remedies else none
 
 
-def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
+def identifiability(model: PlannedModel, noise: SensorDensities, excitation: ForceVectors) -> Identifiability:
     """Rank of what the excitation tells of the model's coefficients, in the expected state of the rig, with
     remedies tried out. Equation (plan-rank).
     """
@@ -87,7 +87,7 @@ def identifiability(model: PlannedModel, noise: Noise, excitation: Excitation) -
     return replace(ranked, remedies=remedies)
 
 
-def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifiability:
+def _rank(model: PlannedModel, noise: SensorDensities, excitation: ForceVectors) -> Identifiability:
     sensitivity = sensitivities(model, noise, 2 * np.pi * excitation.frequency)
     change = np.einsum("lnij,lj->lin", sensitivity, excitation.forces).reshape(-1, len(model.names))
     rows = np.concatenate([change.real, change.imag])
@@ -101,17 +101,19 @@ def _rank(model: PlannedModel, noise: Noise, excitation: Excitation) -> Identifi
     return Identifiability(rank, len(model.names), tuple(compress(model.names, involved)))
 
 
-def _changes(model: PlannedModel, excitation: Excitation) -> Iterator[tuple[str, PlannedModel, Excitation]]:
+def _changes(
+    model: PlannedModel, excitation: ForceVectors
+) -> Iterator[tuple[str, PlannedModel, ForceVectors]]:
     if any(name.startswith("m") for name in model.names):
         yield "a known mass", model.with_known_mass(), excitation
     frequency, forces = excitation.frequency, excitation.forces
     lines = np.unique(frequency)
     another = lines[-1] + (lines[-1] - lines[-2]) if lines.size > 1 else lines[0] * (1 + OTHER)
-    more = Excitation(np.append(frequency, another), np.concatenate([forces, forces[:1]]))
+    more = ForceVectors(np.append(frequency, another), np.concatenate([forces, forces[:1]]))
     yield "another line", model, more
     if model.n_dof == 2:
         across = np.stack([-forces[:, 1].conj(), forces[:, 0].conj()], axis=1)
-        both = Excitation(np.tile(frequency, 2), np.concatenate([forces, across]))
+        both = ForceVectors(np.tile(frequency, 2), np.concatenate([forces, across]))
         yield "a second direction of force", model, both
 
 
@@ -153,7 +155,7 @@ class Earlier:
         whole[np.ix_(there, there)] = self.covariance(without)[np.ix_(here, here)]
         return whole
 
-    def beside(
+    def information_beside(
         self, model: PlannedModel, duration: float, common: Sequence[str] = ()
     ) -> campaigns.EarlierInformation:
         """What counts beside a test of *duration* [s]; *common*: sources of errors that the new test has as
@@ -196,9 +198,9 @@ class Spread:
 
 
 def spread(
-    rig: campaigns.Rig,
-    planned: campaigns.Campaign,
-    flat: campaigns.Campaign,
+    rig: campaigns.PlannedRig,
+    planned: campaigns.PlannedCampaign,
+    flat: campaigns.PlannedCampaign,
     covariance: FloatArray,
     limits: FloatArray,
     criterion: str,
@@ -215,12 +217,12 @@ def spread(
     draws = rig.model.expected + rng.normal(size=(DRAWS, len(covariance))) @ root.T
     errors, gains, over = [], [], []
     for drawn in draws:
-        truth = replace(rig, model=rig.model.with_expected(drawn))
+        truth = replace(rig, model=rig.model.with_values(drawn))
         planned_rate, other = (_rate(rig, truth, campaign) + rig.known_rate for campaign in (planned, flat))
         errors.append(relative_errors(planned_rate * duration))
         poor = campaigns.score(planned_rate, criterion, limits)
         gains.append(campaigns.score(other, criterion, limits) / poor if np.isfinite(poor) else 0.0)
-        signals = ((test.lines, truth.over_limits(test).sum(axis=1)) for test in planned.tests)
+        signals = ((test.lines, truth.amplitudes_over_limits(test).sum(axis=1)) for test in planned.tests)
         over.append(max(float(peaks(*signal).max()) for signal in signals))
     ends = [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2]
     met = float(np.mean(np.all(np.array(errors) <= limits, axis=1)))
@@ -229,7 +231,9 @@ def spread(
     return Spread(middle[0], middle[1], met, float(np.quantile(over, ends[1], method="nearest")))
 
 
-def _rate(rig: campaigns.Rig, truth: campaigns.Rig, campaign: campaigns.Campaign) -> FloatArray:
+def _rate(
+    rig: campaigns.PlannedRig, truth: campaigns.PlannedRig, campaign: campaigns.PlannedCampaign
+) -> FloatArray:
     """What a campaign tells per second on the rig as it is, (n, n) [1/s], relative to the expected scales."""
     ratio = rig.model.scales / truth.model.scales
     rate = campaigns.with_shares(truth, campaign.tests, campaign.shares).rate
@@ -262,7 +266,7 @@ SAMPLES = 2.6
 
 
 def rehearse(
-    rig: campaigns.Rig,
+    rig: campaigns.PlannedRig,
     test: campaigns.Multisines,
     channels: Sequence[Channel],
     seconds: float,
@@ -294,7 +298,7 @@ def rehearse(
     return Recording(tuple(channels), samples, n_sample * rig.spacing, test.name)
 
 
-def _amplitudes(rig: campaigns.Rig, test: campaigns.Multisines, channel: Channel) -> ComplexArray:
+def _amplitudes(rig: campaigns.PlannedRig, test: campaigns.Multisines, channel: Channel) -> ComplexArray:
     if channel.quantity == "force":
         shaker = rig.shakers.index(channel.dof) if channel.dof in rig.shakers else 0
         return test.forces[:, shaker]
@@ -321,7 +325,7 @@ LASTING = 0.81
 FOR_NOISE = 0.1
 
 # From tests with their whole periods to the budget of their evaluation; None where nothing is uncertain.
-Rehearse = Callable[[campaigns.Rig, Sequence[campaigns.Multisines], Sequence[int]], Budget | None]
+Rehearse = Callable[[campaigns.PlannedRig, Sequence[campaigns.Multisines], Sequence[int]], Budget | None]
 
 
 @dataclass(frozen=True)
@@ -376,8 +380,12 @@ def aims(allowed: FloatArray, goals: Goals) -> FloatArray:
     return np.where(allowed > 0, allowed, goals.expanded / 10)
 
 
-def beside_earlier(
-    budget: Budget, earlier: Earlier, campaign: campaigns.Campaign, model: PlannedModel, duration: float
+def combine_with_earlier(
+    budget: Budget,
+    earlier: Earlier,
+    campaign: campaigns.PlannedCampaign,
+    model: PlannedModel,
+    duration: float,
 ) -> Budget:
     """The budget of a test of *duration* [s] and the earlier result together. Equation (plan-beside)."""
     assert campaign.earlier is not None

@@ -27,11 +27,11 @@ from labpipe.methods.planning.excitation import uncertain_text
 from labpipe.methods.planning.plan_file import PIPELINE, PlanFile, write_runs
 from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
-from labpipe.methods.planning.runs import Answered, Change, Condition, Quantity, RunQuestion, plan_runs
+from labpipe.methods.planning.runs import Answered, CandidateRun, Change, RunQuantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.wear.model import BETA_STEP, PLACES
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
@@ -210,14 +210,14 @@ class ExpectedWear:
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
             fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
-            return VaryingSupport(Support(place.node, fixed.stiffness, fixed.damping), *slopes)
+            return VaryingSupport(NodeSupport(place.node, fixed.stiffness, fixed.damping), *slopes)
         others = ("beta",) if place.name == self.bearing else ("beta", DEPTH, ANGLE)
         names = [name for name in self.values if name not in others]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
-        return VaryingSupport(Support(place.node, film.stiffness, film.damping), *slopes)
+        return VaryingSupport(NodeSupport(place.node, film.stiffness, film.damping), *slopes)
 
 
 def information(
@@ -309,7 +309,7 @@ class WearTests:
         return information(at, self.testing, point.band, terms)
 
     @property
-    def conditions(self) -> tuple[Condition, ...]:
+    def conditions(self) -> tuple[CandidateRun, ...]:
         settings = self.settings
         seconds = 2 * settings.run + settings.changeover
         conditions = []
@@ -320,7 +320,7 @@ class WearTests:
                 ("band", f"{point.band[0]:g} to {point.band[1]:g} Hz"),
                 ("force", f"{settings.force:g} N rms in y, then in z, {settings.run:g} s each"),
             )
-            conditions.append(Condition(name, seconds, words, self.information(point)))
+            conditions.append(CandidateRun(name, seconds, words, self.information(point)))
         return tuple(conditions)
 
     def plan(self, title: str) -> RunPlan:
@@ -337,7 +337,7 @@ class WearTests:
             prior=self.prior,
             conditions=self.conditions,
             quantities=tuple(
-                Quantity(name, UNITS[name], value, row, goals.get(name))
+                RunQuantity(name, UNITS[name], value, row, goals.get(name))
                 for row, (name, value) in zip(np.eye(len(values)), values.items(), strict=True)
             ),
             duration=settings.duration,
@@ -346,7 +346,7 @@ class WearTests:
         )
         answered = plan_runs(question, title, settings.model)
         notes = (*self._range_notes(answered), *self._alike_notes(answered), *self._term_notes(answered))
-        return answered.noted(notes).plan
+        return answered.add_notes(notes).plan
 
     def _range_notes(self, answered: Answered) -> Iterator[str]:
         error = next(number.error for number in answered.plan.numbers if number.name == ANGLE)

@@ -13,7 +13,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import chance_text
 from labpipe.distributions import normal_tail
 from labpipe.errors import FitError
-from labpipe.estimation.descent import SquareSum, linearised, minimise
+from labpipe.estimation.descent import SquareSum, linearise_problem, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.methods.ring_down import likelihood
 from labpipe.records.finding import Finding
@@ -65,7 +65,7 @@ def travel(time: FloatArray, first: float, omega: float, rest: float, slope: flo
     return linear * share
 
 
-class _Problem(SquareSum):
+class _LawProblem(SquareSum):
     """Whitened residual of one mode's law over z0, z1, s and w relative to the exponential fit, then ln A0
     and phase of every piece.
     """
@@ -141,9 +141,9 @@ def fitted_law(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> FittedLaw:
     """The law of a mode from all pieces of one output, from the exponential fit on."""
-    problem = _Problem(pieces, fitted, mode, output)
+    problem = _LawProblem(pieces, fitted, mode, output)
     minimum = minimise(problem, problem.start, near=1e-4)
-    linear = linearised(problem, minimum.values)
+    linear = linearise_problem(problem, minimum.values)
     inverse = np.linalg.pinv(linear.triangle * linear.scale, rcond=1e-15)
     nuisance = sum(piece.nuisance.shape[1] for piece in pieces)
     noise = linear.chi2 / max(linear.n_equation - minimum.values.size - nuisance, 1)
@@ -186,7 +186,7 @@ def stretches(
     periods = n * pole.imag / (2 * np.pi * LEAST_PERIODS) * (piece.time[-1] / n if n > 1 else 0.0)
     count = int(min(MOST_STRETCHES, periods))
     # The residual in time: of a band without what lies outside it.
-    left = _in_time(piece, solved.residual[:, output])
+    left = _time_residual(piece, solved.residual[:, output])
     amplitude = solved.amplitudes[mode, output]
     course = np.exp(pole * piece.time)
     # White noise of a band has as many values in a sample as it has of the lines, and within 1 / width of
@@ -212,7 +212,7 @@ def stretches(
     return Stretches(middles.real, values, errors.real * np.sqrt(variance))
 
 
-def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
+def _time_residual(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
     if piece.lines is None:
         return residual
     half = piece.lines.size
@@ -221,7 +221,7 @@ def _in_time(piece: likelihood.Piece, residual: FloatArray) -> FloatArray:
     return np.fft.irfft(spectrum, piece.time.size)
 
 
-def over_amplitude(
+def evaluate_over_amplitude(
     pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed, mode: int, output: int
 ) -> OverAmplitude:
     """Damping ratio and frequency between neighbouring stretches of all pieces, in ascending amplitude.
@@ -497,7 +497,7 @@ def decay_findings(
         warnings.append(Finding("unphysical", f"the oscillation at {growing} does not decay: {cause}"))
     beats = missing.mode if missing is not None else None
     of_amplitude = [
-        _over_amplitude(mode, law, amplitudes[mode], missing if mode == beats else None)
+        _amplitude_finding(mode, law, amplitudes[mode], missing if mode == beats else None)
         for mode, law in laws.items()
     ]
     gaining = [mode for mode, law in laws.items() if law.law.zeta_rest < -2 * np.sqrt(law.covariance[0, 0])]
@@ -533,7 +533,7 @@ def _places(fitted: likelihood.Decayed, chosen: BoolArray) -> str:
     return ", ".join(f"{abs(pole) / (2 * np.pi):.4g} Hz" for pole in fitted.poles[chosen])
 
 
-def _over_amplitude(mode: int, fitted: FittedLaw, first: float, missing: MissingMode | None) -> Finding:
+def _amplitude_finding(mode: int, fitted: FittedLaw, first: float, missing: MissingMode | None) -> Finding:
     law = fitted.law
     change = 100 * law.frequency_slope * first / law.omega
     message = (

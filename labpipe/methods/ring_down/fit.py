@@ -17,7 +17,7 @@ from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.estimation.statistics import correlation, derive, estimated, restated, student_limit
+from labpipe.estimation.statistics import appraise, correlation, derive, restate, student_limit
 from labpipe.methods.ring_down import amplitude_law, likelihood, repeats
 from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
@@ -110,7 +110,7 @@ def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Par
             name = repeats.quantity_name(quantity, mode, fitted.poles.size)
             error = float(np.sqrt(max(float(gradient @ block @ gradient), 0.0)))
             parameters.append(
-                estimated(name, unit, value, error, fitted.dof, None)
+                appraise(name, unit, value, error, fitted.dof, None)
                 if number < 2
                 else derive(name, unit, float(value), error, fitted.dof)
             )
@@ -153,7 +153,7 @@ def with_course(
         parts = parameter.interval or IntervalParts(parameter.std_error or 0.0)
         ends = value * float(np.exp(-reach)), value * float(np.exp(reach))
         parts = replace(parts, discrepancy=value * model)
-        widened.append(restated(parameter, value, error, ends, interval=parts))
+        widened.append(restate(parameter, value, error, ends, interval=parts))
     return tuple(widened)
 
 
@@ -179,7 +179,7 @@ def law_parameters(
             reach = student_limit(dof) * float(np.hypot(model, noise))
             ends = parameter.value - reach, parameter.value + reach
             parts = IntervalParts(noise, discrepancy=model)
-            parameter = restated(parameter, parameter.value, reach / student_limit(dof), ends, interval=parts)
+            parameter = restate(parameter, parameter.value, reach / student_limit(dof), ends, interval=parts)
         elif law.p_value < MISMATCH_P:
             (parameter,) = without_intervals([parameter])
         parameters.append(parameter)
@@ -218,7 +218,7 @@ EXPLAINED = 0.42
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class _FittedDecay:
     decays: FreeDecays
     columns: Sequence[int]
     pieces: tuple[likelihood.Piece, ...]
@@ -277,11 +277,11 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
         decays = replace(decays, decays=tuple(decays.decays[place] for place in places))
         pieces = tuple(pieces[place] for place in places)
     check_fitted(pieces, joined)
-    fitted, jump = _Fitted(decays, columns, pieces, joined), None
+    fitted, jump = _FittedDecay(decays, columns, pieces, joined), None
     if repeated is None and min(fitted.tested.amplitude, fitted.tested.white) < MISMATCH_P:
         jump = amplitude_law.jump_of(decays, columns, joined, settings.band)
     if jump is not None:
-        fitted = _Fitted(jump.decays, columns, jump.pieces, jump.fitted)
+        fitted = _FittedDecay(jump.decays, columns, jump.pieces, jump.fitted)
     laws = _laws(fitted)
     missing = _missing(fitted, laws, settings.band)
     most = EXPLAINED * sum(piece.rows.shape[0] for piece in fitted.pieces)
@@ -293,7 +293,7 @@ def decay_fit(decays: FreeDecays, settings: FitSettings) -> Fit:
     }
     curves = tuple(
         replace(
-            amplitude_law.over_amplitude(fitted.pieces, fitted.fit, mode, output),
+            amplitude_law.evaluate_over_amplitude(fitted.pieces, fitted.fit, mode, output),
             law=laws[mode].law if mode in laws else None,
             unit=fitted.units[mode],
         )
@@ -338,7 +338,7 @@ def check_fitted(pieces: Sequence[likelihood.Piece], fitted: likelihood.Decayed)
         raise FitError(f"what would be a mode at {where} is noise", hint=hint)
 
 
-def _laws(fitted: _Fitted) -> dict[int, amplitude_law.FittedLaw]:
+def _laws(fitted: _FittedDecay) -> dict[int, amplitude_law.FittedLaw]:
     if fitted.tested.amplitude >= MISMATCH_P or not fitted.fit.converged:
         return {}
     laws = {
@@ -349,7 +349,7 @@ def _laws(fitted: _Fitted) -> dict[int, amplitude_law.FittedLaw]:
 
 
 def _missing(
-    fitted: _Fitted, laws: dict[int, amplitude_law.FittedLaw], band: tuple[float, float] | None
+    fitted: _FittedDecay, laws: dict[int, amplitude_law.FittedLaw], band: tuple[float, float] | None
 ) -> amplitude_law.MissingMode | None:
     n_mode, decays = fitted.fit.poles.size, fitted.decays
     if not laws or n_mode == MOST_MODES:
@@ -366,7 +366,7 @@ def _missing(
 
 
 def _parameters(
-    fitted: _Fitted,
+    fitted: _FittedDecay,
     settings: FitSettings,
     laws: dict[int, amplitude_law.FittedLaw],
     repeated: repeats.RepeatedDecays | None,
@@ -383,7 +383,7 @@ def _parameters(
     return parameters
 
 
-def _report(fitted: _Fitted, settings: FitSettings, parameters: tuple[Parameter, ...]) -> Fit:
+def _report(fitted: _FittedDecay, settings: FitSettings, parameters: tuple[Parameter, ...]) -> Fit:
     of, pieces = fitted.fit, fitted.pieces
     equations = sum(piece.rows.size for piece in pieces)
     left = _square_sum(solved.residual for solved in of.pieces)
@@ -415,7 +415,7 @@ def _square_sum(parts: Iterable[FloatArray]) -> float:
     return sum(float(np.sum(part**2)) for part in parts)
 
 
-def _notes(fitted: _Fitted) -> tuple[str, ...]:
+def _notes(fitted: _FittedDecay) -> tuple[str, ...]:
     decays, columns, tested = fitted.decays, fitted.columns, fitted.tested
     deviations = np.sqrt(np.mean(fitted.fit.variance, axis=0))
     noise = ", ".join(
@@ -438,7 +438,7 @@ def _notes(fitted: _Fitted) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _ring_down(fitted: _Fitted, curves: tuple[OverAmplitude, ...]) -> RingDown:
+def _ring_down(fitted: _FittedDecay, curves: tuple[OverAmplitude, ...]) -> RingDown:
     number, output = max(
         fitted.strongest,
         key=lambda place: float(np.max(np.abs(fitted.fit.pieces[place[0]].amplitudes[:, place[1]]))),

@@ -127,7 +127,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Solved:
+class SolvedPiece:
     """One piece at given poles: amplitudes C (n_mode, n_output) [unit of the output], residual (n_row,
     n_output) [same unit]. range_ (n_row, n): orthonormal columns [1] of the piece's linear part. tangent
     (n_row, 2 n_mode): t e^(lambda t), real and imaginary parts [s], without what the linear part explains.
@@ -178,7 +178,7 @@ def rows_by_sums(piece: Piece, poles: ComplexArray) -> tuple[FloatArray, FloatAr
     return rows[0], rows[1]
 
 
-def solve(piece: Piece, poles: ComplexArray) -> Solved:
+def solve(piece: Piece, poles: ComplexArray) -> SolvedPiece:
     """Amplitudes and residual of a piece at *poles* (n_mode,) [rad/s]. Equation (decay-model)."""
     modes, tangent = rows_by_sums(piece, poles) or rows_by_samples(piece, poles)
     n_mode = poles.size
@@ -187,7 +187,7 @@ def solve(piece: Piece, poles: ComplexArray) -> Solved:
     if np.min(np.abs(np.diag(triangle))) <= 1e-14 * np.max(np.abs(np.diag(triangle))):
         raise FitError("two modes of the decay became one")
     factors = solve_triangular(triangle, shares)
-    return Solved(
+    return SolvedPiece(
         factors[:n_mode] - 1j * factors[n_mode : 2 * n_mode],
         piece.rows - range_ @ shares,
         range_,
@@ -207,7 +207,7 @@ class Decayed:
     covariance: FloatArray
     variance: FloatArray
     dof: int
-    pieces: tuple[Solved, ...]
+    pieces: tuple[SolvedPiece, ...]
     converged: bool
     steps: int
     each: ComplexArray | None = None
@@ -267,7 +267,7 @@ def noise_chance(pieces: Sequence[Piece], fitted: Decayed) -> FloatArray:
     return np.array([rows * chi2_tail(energy, dof) for energy in energies(pieces, fitted).tolist()])
 
 
-def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps: int) -> Decayed:
+def _decay(poles: ComplexArray, solved: Sequence[SolvedPiece], converged: bool, steps: int) -> Decayed:
     order = np.argsort(poles.imag)
     variance = _variances(solved, poles.size)
     information, _ = _normal_equations(solved, variance)
@@ -284,7 +284,7 @@ def _decay(poles: ComplexArray, solved: Sequence[Solved], converged: bool, steps
     return Decayed(poles[order], covariance, variance, dof, ordered, converged, steps)
 
 
-def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
+def _variances(solved: Sequence[SolvedPiece], n_mode: int) -> FloatArray:
     """Noise variance (n_piece, n_output) of one row; the poles count as parameters in equal shares."""
     n_series = sum(part.residual.shape[1] for part in solved)
     variances, real = [], np.finfo(float)
@@ -296,7 +296,7 @@ def _variances(solved: Sequence[Solved], n_mode: int) -> FloatArray:
     return np.array(variances)
 
 
-def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _normal_equations(solved: Sequence[SolvedPiece], variance: FloatArray) -> tuple[FloatArray, FloatArray]:
     n_mode = solved[0].amplitudes.shape[0]
     information, slope = np.zeros((2 * n_mode, 2 * n_mode)), np.zeros(2 * n_mode)
     for part, variances in zip(solved, variance, strict=True):
@@ -311,8 +311,8 @@ def _normal_equations(solved: Sequence[Solved], variance: FloatArray) -> tuple[F
 
 
 def _shorter_until_better(
-    pieces: Sequence[Piece], solved: Sequence[Solved], poles: ComplexArray, step: FloatArray
-) -> tuple[ComplexArray, list[Solved]] | None:
+    pieces: Sequence[Piece], solved: Sequence[SolvedPiece], poles: ComplexArray, step: FloatArray
+) -> tuple[ComplexArray, list[SolvedPiece]] | None:
     before = _misfit(solved)
     change = step[: poles.size] + 1j * step[poles.size :]
     for _ in range(MOST_HALVINGS):
@@ -325,7 +325,7 @@ def _shorter_until_better(
     return None
 
 
-def _misfit(solved: Sequence[Solved]) -> float:
+def _misfit(solved: Sequence[SolvedPiece]) -> float:
     tiny = np.finfo(float).tiny
     return sum(
         float(part.residual.shape[0] * np.sum(np.log(np.sum(part.residual**2, axis=0) + tiny)))
@@ -507,7 +507,7 @@ def ending_of(residuals: Sequence[ComplexArray]) -> float:
     return float(squares[2] / squares[0]) if squares[0] > 0 else 1.0
 
 
-def _next_terms(rows: Sequence[tuple[Piece, Solved]], poles: ComplexArray) -> float:
+def _next_terms(rows: Sequence[tuple[Piece, SolvedPiece]], poles: ComplexArray) -> float:
     """F-test of |E| E and |E|^2 E, E = e^(lambda t), the first terms of a damping or frequency over
     amplitude; exact for white noise.
     """

@@ -18,13 +18,13 @@ from labpipe.estimation.repeats import (
     RepeatMean,
     follows,
     groups_of,
-    in_groups,
+    groups_text,
     kept_repeats,
     mean_of_groups,
     repeat_mean,
 )
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import restated, student_limit
+from labpipe.estimation.statistics import restate, student_limit
 from labpipe.methods.ring_down.likelihood import Decayed, Piece, most_likely, noise_chance
 from labpipe.records.finding import Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.spectra import FreeDecays
@@ -263,14 +263,14 @@ def _parameter(
         groups=len(repeated.groups),
     )
     parts = IntervalParts(error, repeats=float(np.sqrt(max(full**2 - error**2, 0.0))))
-    return restated(parameter, value, full, interval, std_error=error, interval=parts, repeats=repeats)
+    return restate(parameter, value, full, interval, std_error=error, interval=parts, repeats=repeats)
 
 
 def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, ...]:
     """How many decays the values are the mean of, and what they scatter by."""
     used = int(np.count_nonzero(repeated.kept.used))
     over = f"{used} decays" if used == repeated.total else f"{used} of {repeated.total} decays"
-    over += in_groups(repeated.groups)
+    over += groups_text(repeated.groups)
     notes = []
     for mode, (frequency, damping) in enumerate(repeated.means):
         text = (

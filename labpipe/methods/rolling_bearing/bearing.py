@@ -191,11 +191,11 @@ class RollingOnRotor:
 
         Dofs that the settings do not hold (axial, tilts) follow without force: K = K_aa - K_ab K_bb^-1 K_ba.
         """
-        return _on_rotor(self.settings, *point.load)
+        return _rotor_coefficients(self.settings, *point.load)
 
 
 @lru_cache(maxsize=128)
-def _on_rotor(settings: RollingSettings, load_y: float, load_z: float) -> kinds.BearingCoefficients:
+def _rotor_coefficients(settings: RollingSettings, load_y: float, load_z: float) -> kinds.BearingCoefficients:
     (whole,) = rolling_coefficients([replace(settings, loads=replace(settings.loads, x=load_y, y=load_z))])
     free = [number for number, dof in enumerate(DOFS) if dof not in ("x", "y", *settings.fixed_dofs)]
     k, a = whole.stiffness, list(RADIAL)
@@ -218,9 +218,9 @@ def _mount(settings: RollingSettings) -> kinds.Bearing:
         ("displacements", "y"),
     ):
         if getattr(getattr(settings, section), direction) is not None:
-            raise kinds.not_on_rotor(f"{section}.{direction}")
+            raise kinds.entry_of_rotor_error(f"{section}.{direction}")
     if settings.shaft is not None:
-        raise kinds.not_on_rotor("shaft")
+        raise kinds.entry_of_rotor_error("shaft")
     return RollingOnRotor(settings)
 
 

@@ -48,7 +48,7 @@ REACH = 0.2
 
 
 @dataclass(frozen=True)
-class Problem:
+class EquilibriumProblem:
     """Load cases of one bearing: u with F_i(u) = f_i for the *free* dofs (indices), the others fixed.
 
     load (n_case, 5) [N]; moments are divided and tilts multiplied by the pitch radius, so that all five have
@@ -60,9 +60,9 @@ class Problem:
     load: FloatArray
     free: IntArray
 
-    def of_cases(self, cases: BoolArray) -> Problem:
+    def of_cases(self, cases: BoolArray) -> EquilibriumProblem:
         """The problem of the load cases *cases* (n_case,)."""
-        return Problem(self.bearing, self.frame.of_cases(cases), self.load[cases], self.free)
+        return EquilibriumProblem(self.bearing, self.frame.of_cases(cases), self.load[cases], self.free)
 
     def at(self, u: FloatArray) -> Trial:
         """The state at displacements u (n_case, 5) [m]. Equation (roll-potential)."""
@@ -96,7 +96,7 @@ class Trial:
         return Trial(self.u[cases], state, self.residual[cases], self.potential[cases])
 
 
-def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
+def solve(problem: EquilibriumProblem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Positions u (n_case, 5) [m], and whether each is an equilibrium; *fixed* (n_case, 5): displacements,
     zero where free.
     """
@@ -120,7 +120,7 @@ def solve(problem: Problem, fixed: FloatArray) -> tuple[FloatArray, BoolArray]:
     return u, solved
 
 
-def newton_step(problem: Problem, trial: Trial) -> FloatArray:
+def newton_step(problem: EquilibriumProblem, trial: Trial) -> FloatArray:
     """(K + |f - F| / R) p = f - F, (n_case, 5) [m]: limited to the bearing's reach R without stiffness,
     converging quadratically. Equation (roll-newton).
     """
@@ -133,7 +133,7 @@ def newton_step(problem: Problem, trial: Trial) -> FloatArray:
     return step
 
 
-def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
+def line_search(problem: EquilibriumProblem, trial: Trial, step: FloatArray) -> FloatArray:
     """Next position u + t p, (n_case, 5) [m], from t = 1, reduced until the potential decreases or its slope
     along p is not positive. A reduction goes to the zero of the secant of the slope.
     """
@@ -155,7 +155,7 @@ def line_search(problem: Problem, trial: Trial, step: FloatArray) -> FloatArray:
     return trial.u + length[:, None] * step
 
 
-def starting_point(problem: Problem, fixed: FloatArray) -> FloatArray:
+def starting_point(problem: EquilibriumProblem, fixed: FloatArray) -> FloatArray:
     """A position in which all elements carry, (n_case, 5) [m]: the axial equilibrium under the sum of the
     loads; rollers at 0 deg: radial. *fixed* (n_case, 5): fixed displacements.
     """
@@ -297,7 +297,7 @@ def _solve_part(
     scale = np.array([1, 1, 1, bearing.pitch_radius, bearing.pitch_radius])
     frame = ElementFrame.at(bearing.angles(cage), 1.0)
     free = np.array([name not in fixed_dofs for name in DOFS])
-    problem = Problem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
+    problem = EquilibriumProblem(bearing, frame, np.where(free, f[part] / scale, 0.0), np.flatnonzero(free))
     u, solved = solve(problem, np.where(free, 0.0, q[part] * scale))
     if not solved.all():
         # Raise the FitError of a load case without equilibrium; *loads* (n_case, 5) [N, N m]
@@ -315,10 +315,10 @@ def _solve_part(
 
 
 def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
-    def joined(of: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
+    def join_cases(of: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
         return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
 
-    at = Contacts(**joined([part.contacts for part in parts], (field.name for field in fields(Contacts))))
+    at = Contacts(**join_cases([part.contacts for part in parts], (field.name for field in fields(Contacts))))
     # FitError where the deflection exceeds the range of Hertzian contact, or the angle exceeds 90 deg
     bearing = parts[0].bearing
     for case, element in np.argwhere(at.deflection > bearing.reach)[:1].tolist():
@@ -329,5 +329,5 @@ def _join(parts: Sequence[Equilibrium]) -> Equilibrium:
         what = "carries at a contact angle beyond 90 deg: the rings have come apart"
         hint = "the bearing cannot carry this load"
         raise FitError(f"{_case(case, len(at.load))}element {element + 1} {what}", hint=hint)
-    arrays = joined(parts, ("displacement", "load", "stiffness", "angles"))
+    arrays = join_cases(parts, ("displacement", "load", "stiffness", "angles"))
     return replace(parts[0], contacts=at, **arrays)

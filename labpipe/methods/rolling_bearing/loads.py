@@ -231,7 +231,7 @@ class RigidShaft:
 
 
 @dataclass(frozen=True)
-class Modes:
+class UndampedModes:
     """Undamped modes in ascending order: frequency (5,) [Hz]; shape (5, 5), columns with phi^T M phi = 1.
 
     share (5, 5): share of dof i (row) of the modal mass of mode r (column), M_ii phi_ir^2; rows and columns
@@ -251,7 +251,7 @@ class Modes:
         return int(np.argmax(self.share[DOFS.index(dof)]))
 
 
-def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
+def modes(shaft: RigidShaft, stiffness: FloatArray) -> UndampedModes:
     """Eigenvalues of K phi = w^2 M phi; *stiffness* (5, 5) [N/m, N/rad, N m/rad], a dof without stiffness
     gives 0 Hz. Raises FitError for a stiffness that is not positive semidefinite (beyond rounding): such an
     equilibrium is unstable. Equation (roll-modes).
@@ -260,7 +260,9 @@ def modes(shaft: RigidShaft, stiffness: FloatArray) -> Modes:
     squares, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2 * np.outer(scale, scale))
     if squares[0] < -1e-9 * squares[-1]:
         raise FitError("the stiffness matrix has a negative eigenvalue", hint="the shaft does not rest there")
-    return Modes(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2)
+    return UndampedModes(
+        np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi), scale[:, None] * vectors, vectors**2
+    )
 
 
 def theoretical_response(
@@ -292,7 +294,7 @@ def sdof_stiffness(shaft: RigidShaft, stiffness: FloatArray) -> FloatArray:
 RADIAL = (0, 1)
 
 
-def in_series(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
+def add_shaft_bending(stiffness: NDArray[np.inexact], bending: float) -> ComplexArray:
     """K_total = (K^-1 + S)^-1, S = diag(1, 1, 0, 0, 0) / k_s: the bending shaft k_s [N/m] in series in x and
     y, (..., 5, 5). By Woodbury's identity K - K E (E^T K E + k_s)^-1 E^T K, so that K may be singular.
     ConfigError for k_s not above zero. Equation (roll-series-matrix).
@@ -320,7 +322,7 @@ def transfer_matrix(
     (roll-transfer).
     """
     w = 2 * np.pi * np.asarray(frequency, np.float64)[:, None, None]
-    dynamic = in_series((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
+    dynamic = add_shaft_bending((1 + 1j * w * beta) * stiffness, bending) - w**2 * np.diag(shaft.inertias)
     try:
         return np.linalg.inv(dynamic)
     except np.linalg.LinAlgError:

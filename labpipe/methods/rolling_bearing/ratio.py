@@ -73,7 +73,7 @@ class TheoryAt:
 
 
 @dataclass(frozen=True)
-class Rig:
+class RatioRig:
     """How the rig measures the bearing: bending stiffness of the shaft [N/m] (infinite: rigid), arm of tilts
     [m].
     """
@@ -110,7 +110,7 @@ class _Curve:
 
 
 def match(
-    fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig
+    fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: RatioRig
 ) -> Matched:
     """Solve ln(k, c)(ratio, beta) = ln(k, c) measured by Newton's method with numerical slopes.
 
@@ -121,7 +121,7 @@ def match(
     curve = _curve(fit, response, settings, rig)
     bending = rig.bending.value
 
-    def fitted(
+    def fit_ratio(
         log: FloatArray, stiffness: FloatArray, bends: float = bending, shaft: RigidShaft = theory.shaft
     ) -> FloatArray:
         ratio, beta = (float(value) for value in np.exp(log))
@@ -131,19 +131,19 @@ def match(
 
     measured = _logarithms(fit)
     start = np.array([0.0, measured[1] - measured[0]])
-    log, slopes = solve_ratio(lambda u: fitted(u, theory.stiffness), measured, start)
+    log, slopes = solve_ratio(lambda u: fit_ratio(u, theory.stiffness), measured, start)
     inverse = np.linalg.inv(slopes)
-    solution = fitted(log, theory.stiffness)
+    solution = fit_ratio(log, theory.stiffness)
     to_bending = np.zeros(2)
     if np.isfinite(bending):
-        to_bending = (fitted(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
-    to_condition = (fitted(log, theory.near) - solution) / theory.step
-    theoretical = np.exp(fitted(np.array([0.0, log[1]]), theory.stiffness))
+        to_bending = (fit_ratio(log, theory.stiffness, bending * (1 + STEP)) - solution) / STEP
+    to_condition = (fit_ratio(log, theory.near) - solution) / theory.step
+    theoretical = np.exp(fit_ratio(np.array([0.0, log[1]]), theory.stiffness))
     covariance = inverse @ log_covariance(fit) @ inverse.T
     sources = () if fit.budget is None else fit.budget.sources
     to_sources = {of.source: inverse @ _log_change(fit, of.source) for of in sources}
     for source, *ends in theory.ends:
-        high, low = (fitted(log, stiffness, shaft=shaft) for stiffness, shaft in ends)
+        high, low = (fit_ratio(log, stiffness, shaft=shaft) for stiffness, shaft in ends)
         to_sources[source] = to_sources.get(source, 0.0) - inverse @ (high - low) / 2
     return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
 
@@ -205,7 +205,12 @@ def log_covariance(fit: Fit) -> FloatArray:
 
 
 def overlay(
-    fit: Fit, response: FrequencyResponse, settings: FitSettings, theory: TheoryAt, rig: Rig, matched: Matched
+    fit: Fit,
+    response: FrequencyResponse,
+    settings: FitSettings,
+    theory: TheoryAt,
+    rig: RatioRig,
+    matched: Matched,
 ) -> Overlay:
     """|H| of the fitted term on all lines of the response: measured, theory with the measured damping, theory
     times the ratio.
@@ -229,7 +234,7 @@ def _theory_curve(
 
 
 def _curve(
-    fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: Rig, whole: bool = False
+    fit: Fit, response: FrequencyResponse, settings: FitSettings, rig: RatioRig, whole: bool = False
 ) -> _Curve:
     if not settings.kind.one_frf or fit.curve is None:
         hint = "only one-dof fits are compared with those of the theory"
@@ -278,7 +283,7 @@ def _place(port: Port) -> int:
     return DOFS.index(name)
 
 
-def _arm(rig: Rig, place: int) -> float:
+def _arm(rig: RatioRig, place: int) -> float:
     if place not in TILTS:
         return 1.0
     if rig.arm is None:
@@ -300,7 +305,7 @@ def stiffness_ratio(
     logs = np.array([test.log[0] for test in matched])
     errors, changes = joint_errors_of(matched, 0, campaign.settings.setting_error, bending_error)
     mean = weighted_mean(logs, errors, changes)
-    ratio = from_log("ratio", "1", *mean.stated())
+    ratio = from_log("ratio", "1", *mean.state())
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
     assert ratio.ci95 is not None
     low, high = ratio.ci95
@@ -312,7 +317,7 @@ def stiffness_ratio(
     amounts = (ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True))
     verdict = "stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory"
     points = _points(campaign, matched, _single(errors, changes))
-    comparison = campaign.comparison(amounts, verdict, result + _one_factor(mean))
+    comparison = campaign.comparison(amounts, verdict, result + _factor_text(mean))
     return replace(comparison, points=points, overlays=overlays)
 
 
@@ -337,7 +342,7 @@ def _single(errors: FloatArray, changes: FloatArray) -> FloatArray:
     return np.hypot(errors, np.linalg.norm(changes, axis=0))
 
 
-def _one_factor(mean: WeightedFit) -> str:
+def _factor_text(mean: WeightedFit) -> str:
     if mean.p_value is None:
         return ""
     if not mean.inflated:
@@ -368,12 +373,12 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     mean = weighted_mean(logs, errors, changes)
     stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
-    slope, *ends = weighted_fit(columns, logs, errors, changes).stated(1)
+    slope, *ends = weighted_fit(columns, logs, errors, changes).state(1)
     exponent = with_error("exponent", "1", 1 + slope, *ends)
     if mean.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
     verdict = "not proportional" if mean.p_value < campaign.settings.level else "proportional"
-    beta = from_log("beta", "s", *mean.stated())
+    beta = from_log("beta", "s", *mean.state())
     result = (
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
@@ -455,12 +460,12 @@ def _match(campaign: Campaign, evidence: Evidence) -> Solved:
     theory = evidence.theory or theory_of(evidence.folder, named)
     key = (settings.fit, settings.term, settings.over, settings.group, named)
     if key not in evidence.solved:
-        evidence.solved[key] = _newly_matched(campaign, evidence, theory, named)
+        evidence.solved[key] = _match_anew(campaign, evidence, theory, named)
     return evidence.solved[key]
 
 
-def _newly_matched(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> Solved:
-    rig = Rig(named.shaft or Uncertain(float("inf")), named.arm)
+def _match_anew(campaign: Campaign, evidence: Evidence, theory: Theory, named: TheorySettings) -> Solved:
+    rig = RatioRig(named.shaft or Uncertain(float("inf")), named.arm)
     theory = cache(theory)
     matched, overlays = [], []
     last = len(campaign.observations) - 1

@@ -21,7 +21,7 @@ from labpipe.records.settings import Settings, choice, quantity, section, settin
 
 
 @dataclass(frozen=True)
-class Material:
+class ContactMaterial:
     """An elastic material: Young's modulus E [Pa] and Poisson's ratio."""
 
     youngs_modulus: float = 206e9
@@ -38,7 +38,7 @@ class Material:
         return (1 - self.poissons_ratio**2) / self.youngs_modulus
 
 
-STEEL = Material()
+STEEL = ContactMaterial()
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class BallGeometry:
         )
 
     @lru_cache(maxsize=64)  # noqa: B019 (frozen and small; a sweep uses one geometry thousands of times)
-    def stiffness_constant(self, rings: Material = STEEL, balls: Material = STEEL) -> float:
+    def stiffness_constant(self, rings: ContactMaterial = STEEL, balls: ContactMaterial = STEEL) -> float:
         """K_n [N/m^1.5] of inner and outer contact in series: K_n = (K_i^(-2/3) + K_o^(-2/3))^(-3/2).
         Equation (roll-ball-constant).
         """
@@ -88,16 +88,18 @@ class BallGeometry:
             self._contact(1, self.inner_conformity, rings, balls),
             self._contact(-1, self.outer_conformity, rings, balls),
         )
-        return in_series(contacts, 3 / 2)
+        return series_constant(contacts, 3 / 2)
 
-    def _contact(self, side: int, conformity: float, rings: Material, balls: Material) -> float:
+    def _contact(self, side: int, conformity: float, rings: ContactMaterial, balls: ContactMaterial) -> float:
         """Contact, *side* +1 inner, -1 outer: 2/D (1 + gamma/(1 - gamma)) along rolling, 2/D - 1/r across."""
         gamma = side * self.ball_diameter * float(np.cos(self.contact_angle)) / self.pitch_diameter
         along = 2 / self.ball_diameter * (1 + gamma / (1 - gamma))
         return point_contact(along, (2 - 1 / conformity) / self.ball_diameter, rings, balls)
 
 
-def point_contact(along: float, across: float, first: Material = STEEL, second: Material = STEEL) -> float:
+def point_contact(
+    along: float, across: float, first: ContactMaterial = STEEL, second: ContactMaterial = STEEL
+) -> float:
     """K of Q = K delta^1.5 [N/m^1.5] for two bodies whose summed principal curvatures are *along* and
     *across* [1/m]. With k = b/a of the contact ellipse, K and E the complete elliptic integrals of modulus
     sqrt(1 - k^2), rho their summed curvatures: delta = 3 k K / (2 pi E*) (pi E* rho / (3 k E))^(1/3) Q^(2/3),
@@ -143,10 +145,10 @@ def line_contact(length: float) -> float:
 def roller_stiffness_constant(length: float) -> float:
     """K_n [N/m^(10/9)] of a steel roller of the *length* [m] between two tracks."""
     contact = line_contact(length)
-    return in_series((contact, contact), 10 / 9)
+    return series_constant((contact, contact), 10 / 9)
 
 
-def in_series(constants: tuple[float, ...], exponent: float) -> float:
+def series_constant(constants: tuple[float, ...], exponent: float) -> float:
     """K_n of contacts that carry the same load and add their deflections: K_n = (sum K^(-1/n))^(-n). Equation
     (roll-series).
     """
@@ -197,13 +199,13 @@ class BallGeometrySettings(Settings):
     )
 
     @property
-    def rings(self) -> Material:
-        return Material(self.youngs_modulus, self.poissons_ratio)
+    def rings(self) -> ContactMaterial:
+        return ContactMaterial(self.youngs_modulus, self.poissons_ratio)
 
     @property
-    def balls(self) -> Material:
+    def balls(self) -> ContactMaterial:
         modulus, ratio = self.ball_youngs_modulus, self.ball_poissons_ratio
-        return Material(
+        return ContactMaterial(
             self.rings.youngs_modulus if modulus is None else modulus,
             self.rings.poissons_ratio if ratio is None else ratio,
         )
@@ -308,11 +310,15 @@ class BallBearingSettings(RollingSettings):
         shape = None if self.geometry is None else self.geometry.at(self.contact_angle)
         return RollingBearing(
             self.elements,
-            needed("stiffness_constant", self.stiffness_constant, self.hertz_constant()),
-            needed("pitch_radius", self.pitch_radius, None if shape is None else shape.groove_centre_radius),
+            require_value("stiffness_constant", self.stiffness_constant, self.hertz_constant()),
+            require_value(
+                "pitch_radius", self.pitch_radius, None if shape is None else shape.groove_centre_radius
+            ),
             self.contact_angle,
             self.clearance,
-            needed("groove_distance", self.groove_distance, None if shape is None else shape.groove_distance),
+            require_value(
+                "groove_distance", self.groove_distance, None if shape is None else shape.groove_distance
+            ),
         )
 
     def hertz_constant(self) -> float | None:
@@ -341,15 +347,17 @@ class RollerBearingSettings(RollingSettings):
 
     def bearing(self) -> RollingBearing:
         derived = self.hertz_constant()
-        constant = needed("stiffness_constant", self.stiffness_constant, derived, "roller_length")
-        radius = needed("pitch_radius", self.pitch_radius, None)
+        constant = require_value("stiffness_constant", self.stiffness_constant, derived, "roller_length")
+        radius = require_value("pitch_radius", self.pitch_radius, None)
         return RollingBearing(self.elements, constant, radius, self.contact_angle, self.clearance)
 
     def hertz_constant(self) -> float | None:
         return None if self.roller_length is None else roller_stiffness_constant(self.roller_length)
 
 
-def needed(name: str, explicit: float | None, derived: float | None, source: str = "geometry") -> float:
+def require_value(
+    name: str, explicit: float | None, derived: float | None, source: str = "geometry"
+) -> float:
     """The explicit value, else the derived one; ConfigError where there is neither."""
     amount = derived if explicit is None else explicit
     if amount is None:

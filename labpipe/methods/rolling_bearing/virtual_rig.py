@@ -249,7 +249,7 @@ def _parameters(rig: VirtualBallBearingRig, runs: Sequence[str]) -> virtual_rigs
     return terms
 
 
-def _at_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig:
+def _set_level(rig: VirtualBallBearingRig, level: float) -> VirtualBallBearingRig:
     noise = rig.noise
     return replace(
         rig, noise=replace(noise, acceleration=level * noise.acceleration, force=level * noise.force)
@@ -262,5 +262,5 @@ BALL_BEARING_RIG = virtual_rigs.kind_of_tests(
     tests=simulate_ball_bearing,
     logged=virtual_rigs.force_and_accelerations,
     parameters=_parameters,
-    noisy=_at_level,
+    noisy=_set_level,
 )

@@ -25,7 +25,7 @@ Residual = tuple[FloatArray, Callable[[], FloatArray]]
 RANK_TOLERANCE = 1e-7
 
 
-class Evidence(Protocol[Predicted]):
+class ResidualEvidence(Protocol[Predicted]):
     """What was measured, as the weighted residual (n,) [1] of a model with its Jacobian (n, n_unknown)."""
 
     def residual(self, model: Predicted, values: FloatArray) -> Residual:
@@ -45,7 +45,7 @@ class Problem(Generic[Model]):
     """
 
     model: Model
-    tests: tuple[Evidence[Model], ...]
+    tests: tuple[ResidualEvidence[Model], ...]
     means: FloatArray
     errors: FloatArray
     free: BoolArray

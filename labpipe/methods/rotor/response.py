@@ -15,7 +15,7 @@ from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, Support, free_rotor, supported_rotor
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, RotorMatrices, free_rotor, supported_rotor
 from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 # Growth rates [1/s] below this are rounding errors, of undamped modes for example.
@@ -24,11 +24,11 @@ GROWTH_TOLERANCE = 1e-3
 # much.
 LEAST_OSCILLATION = 1e-3
 
-SupportsAtSpeed = Callable[[float], Iterable[Support]]
+SupportsAtSpeed = Callable[[float], Iterable[NodeSupport]]
 
 
 @dataclass(frozen=True)
-class Modes:
+class WhirlModes:
     """Oscillating modes at one spin speed [rad/s], in ascending order of damped frequency.
 
     eigenvalues (n_mode,) [1/s] with positive imaginary part; shapes (n_mode, n_node, 2), y and z, largest
@@ -67,7 +67,7 @@ def eigenvalues(matrices: RotorMatrices, speed: float) -> tuple[ComplexArray, Co
     return roots, vectors[:n]
 
 
-def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
+def modes(rotor: Rotor, supports: Iterable[NodeSupport], speed: float) -> WhirlModes:
     """The oscillating modes of a rotor at a spin *speed* [rad/s]."""
     roots, vectors = eigenvalues(supported_rotor(rotor, supports), speed)
     oscillating = np.flatnonzero(roots.imag > LEAST_OSCILLATION * np.abs(roots))
@@ -75,10 +75,10 @@ def modes(rotor: Rotor, supports: Iterable[Support], speed: float) -> Modes:
     shapes = np.stack([vectors[0::4, oscillating], vectors[1::4, oscillating]], axis=-1).swapaxes(0, 1)
     flat = shapes.reshape(oscillating.size, -1)
     largest = flat[np.arange(oscillating.size), np.argmax(np.abs(flat), axis=1)]
-    return Modes(speed, roots[oscillating], shapes / largest[:, None, None])
+    return WhirlModes(speed, roots[oscillating], shapes / largest[:, None, None])
 
 
-def growth_rate(rotor: Rotor, supports: Iterable[Support], speed: float) -> float:
+def growth_rate(rotor: Rotor, supports: Iterable[NodeSupport], speed: float) -> float:
     """Largest real part of the eigenvalues [1/s]; positive means unstable. Equation (rotor-onset)."""
     roots, _ = eigenvalues(supported_rotor(rotor, supports), speed)
     return float(np.max(roots.real))
@@ -136,7 +136,7 @@ def solve(stiffness: ComplexArray, forces: ComplexArray | FloatArray) -> Complex
 
 def unbalance_response(
     rotor: Rotor,
-    supports: Iterable[Support],
+    supports: Iterable[NodeSupport],
     speed: FloatArray,
     unbalance: Mapping[int, complex],
     outputs: list[int],
@@ -183,7 +183,7 @@ class ReducedRotor:
         """H [m/N], (n_line, 2, 2), from forces in y and z at one node to displacements at another."""
         return self.receptance[:, self.dofs(output)][:, :, self.dofs(force)]
 
-    def on(self, supports: Iterable[Support]) -> ReducedRotor:
+    def on(self, supports: Iterable[NodeSupport]) -> ReducedRotor:
         """This rotor with bearings added at nodes of the reduced rotor; ConfigError for another node.
         Equation (rotor-woodbury).
         """
@@ -193,7 +193,7 @@ class ReducedRotor:
         return ReducedRotor(self.nodes, self.omega, self.receptance - self.receptance[:, :, b] @ loaded)
 
     def paths(
-        self, supports: Sequence[Support], output: int, force: int
+        self, supports: Sequence[NodeSupport], output: int, force: int
     ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """H_of (n_line, 2, 2), H_ob (n_line, 2, 2 n_bearing) and H_bf (n_line, 2 n_bearing, 2) [m/N] of this
         rotor with bearings added. From forces at the node *force* or at the bearings b to displacements at
@@ -211,12 +211,12 @@ class ReducedRotor:
         from_b, of_f = added[:, [rows.index(dof) for dof in o]], [columns.index(dof) for dof in f]
         return from_b[:, :, of_f], from_b[:, :, :n], added[:, :n][:, :, of_f]
 
-    def _bearing_dofs(self, supports: Iterable[Support]) -> list[int]:
+    def _bearing_dofs(self, supports: Iterable[NodeSupport]) -> list[int]:
         return [dof for support in supports for dof in self.dofs(support.node)]
 
 
 def _bearing_forces(
-    supports: Sequence[Support], omega: FloatArray, rows: ComplexArray, at: list[int]
+    supports: Sequence[NodeSupport], omega: FloatArray, rows: ComplexArray, at: list[int]
 ) -> ComplexArray:
     """(I + Z_b R_bb)^-1 Z_b R_b: [1] of the free rotor's *rows* R_b: (n_line, n, n_column) [m/N], R_bb in
     columns *at*; same shape.

@@ -15,7 +15,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
-from labpipe.methods.rotor.shaft import Rotor, Support, bearing_loads
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, bearing_loads
 from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import nearest
 
@@ -61,12 +61,12 @@ class BearingPlace:
         uncertainty any more.
         """
 
-        def changed(bearing: Bearing) -> JournalBearing:
+        def change(bearing: Bearing) -> JournalBearing:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
-        ends = [replace(e, above=changed(e.above), below=changed(e.below)) for e in self.uncertainties]
+        ends = [replace(e, above=change(e.above), below=change(e.below)) for e in self.uncertainties]
         uncertain = tuple(entry for entry in ends if entry.above != entry.below)
-        return replace(self, bearing=changed(self.bearing), uncertainties=uncertain)
+        return replace(self, bearing=change(self.bearing), uncertainties=uncertain)
 
     def film(self, method: str) -> JournalBearing:
         """The journal bearing. ConfigError that names the *method* which needs its oil film, where there is
@@ -161,7 +161,7 @@ class RotorRig:
             for place, (y, z) in zip(carrying, reactions, strict=True)
         }
 
-    def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[Support]:
+    def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[NodeSupport]:
         """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of
         oil films.
         """
@@ -174,7 +174,7 @@ class RotorRig:
             else:
                 at = bearing.at(OperatingPoint(load, self.omega, self.omega))
                 coefficients = at.stiffness, at.damping
-            supports.append(Support(place.node, *coefficients))
+            supports.append(NodeSupport(place.node, *coefficients))
         return supports
 
     def at_speed(self, speed: float) -> RotorRig:

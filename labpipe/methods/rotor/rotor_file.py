@@ -134,7 +134,7 @@ class LoadSettings(Settings):
 
 
 @dataclass(frozen=True)
-class UnbalanceSettings(Settings):
+class UnbalanceEntry(Settings):
     """One entry of ``unbalances:``."""
 
     node: int = setting("integer", "node it sits on")
@@ -153,7 +153,7 @@ LISTS: dict[str, type] = {
     "discs": DiscSettings,
     "sleeves": SleeveSettings,
     "loads": LoadSettings,
-    "unbalances": UnbalanceSettings,
+    "unbalances": UnbalanceEntry,
 }
 NODE = Setting("integer", "node it sits on")
 # Keys of a rotor file of other commands: what they are of, and what is right instead.
@@ -203,7 +203,7 @@ def read_rotor(tree: Marked, stem: str, faults: Faults) -> RotorRig | None:
         force=settings.force,
         response=settings.response,
     )
-    return tried(make_rig, tree, "", faults)
+    return try_making(make_rig, tree, "", faults)
 
 
 def read_parts(
@@ -265,7 +265,7 @@ def read_materials(node: Marked | None, faults: Faults) -> dict[str, Material]:
         settings = read_settings(MaterialSettings, entry, key, faults)
         if settings is not None:
             moduli = settings.elastic_modulus, settings.shear_modulus, settings.poisson
-            material = tried(partial(Material, settings.density, *moduli, name), entry, key, faults)
+            material = try_making(partial(Material, settings.density, *moduli, name), entry, key, faults)
             materials |= {} if material is None else {name: material}
     return materials
 
@@ -290,10 +290,11 @@ def build_rotor(
         make_element = partial(
             ShaftElement, part.length, part.diameter, material(entry, part), part.inner_diameter
         )
-        element = tried(make_element, entry, "", faults)
+        element = try_making(make_element, entry, "", faults)
         shaft.extend([element] * part.count if element is not None else [])
     discs = [
-        tried(partial(part.disc, material(entry, part)), entry, "", faults) for entry, part in lists["discs"]
+        try_making(partial(part.disc, material(entry, part)), entry, "", faults)
+        for entry, part in lists["discs"]
     ]
     sleeves = [
         Sleeve(part.element, part.outer_diameter, material(entry, part), part.stiffening)
@@ -302,7 +303,7 @@ def build_rotor(
     if len(faults) > before:
         return None
     parts = tuple(disc for disc in discs if disc is not None)
-    return tried(
+    return try_making(
         partial(Rotor, tuple(shaft), parts, tuple(sleeves), damping.alpha, damping.beta), tree, "", faults
     )
 
@@ -311,10 +312,10 @@ def _check_nodes(lists: dict[str, list[tuple[Marked, Any]]], rotor: Rotor, fault
     for key in ("bearings", "loads", "unbalances"):
         for entry, part in lists[key]:
             check = partial(rotor.check_node, part.node, f"this entry of {key}")
-            tried(check, entry.content["node"], key, faults)
+            try_making(check, entry.content["node"], key, faults)
 
 
-def tried(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
+def try_making(make: Callable[[], Built], node: Marked, key: str, faults: Faults) -> Built | None:
     """Return value of *make*; None and a fault at the node's place for a ConfigError."""
     try:
         return make()
@@ -349,22 +350,22 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     owner = kind.on_rotor or kind.settings
     uncertainties = taken_uncertainties(plain, kind, "", owner, faults)
 
-    def mounted() -> tuple[str, Bearing | None]:
+    def mount() -> tuple[str, Bearing | None]:
         settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))
         if settings is None or len(faults) > before:
             return "", None
-        return getattr(settings, "name", "") or str(number), tried(
-            lambda: kind.mounted(settings), entry, key, faults
+        return getattr(settings, "name", "") or str(number), try_making(
+            lambda: kind.make(settings), entry, key, faults
         )
 
-    name, bearing = mounted()
+    name, bearing = mount()
     if bearing is None or node is None:
         return None
     places = []
     for entry_name, uncertain in uncertainties.items():
         unit = setting_at(owner, entry_name).unit
         above, below, _ = (
-            _at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mounted)
+            _bearing_at_end(plain, entry_name, uncertain.value + sign * uncertain.std_error, unit, mount)
             for sign in (1.0, -1.0, 0.0)
         )
         if above is None or below is None:
@@ -374,7 +375,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
     return BearingPlace(name, node, bearing, entries["kind"].text, tuple(places))
 
 
-def _at_end(
+def _bearing_at_end(
     plain: Marked, key: str, value: float, unit: str, mounted: Callable[[], tuple[str, Bearing | None]]
 ) -> Bearing | None:
     set_entry(plain, f"{key}={value!r} {unit}".rstrip())

@@ -150,7 +150,7 @@ class Sleeve:
 
 
 @dataclass(frozen=True)
-class Support:
+class NodeSupport:
     """A bearing on a node: stiffness [N/m] and damping [N s/m], (2, 2) in y and z, `k_yz` = force in y per
     displacement in z.
     """
@@ -274,10 +274,10 @@ def inertia_matrices(
     momentum towards y, 2 rho I per length. Equation (rotor-gyroscopic).
     """
     translation, rotary = plane_inertia(element, ring)
-    return in_both_planes(translation + rotary), across_planes(2 * rotary)
+    return expand_to_both_planes(translation + rotary), across_planes(2 * rotary)
 
 
-def in_both_planes(plane: FloatArray) -> FloatArray:
+def expand_to_both_planes(plane: FloatArray) -> FloatArray:
     """A symmetric matrix of one plane (4, 4) applied to both planes, (8, 8) [same unit]."""
     both = np.zeros((8, 8))
     both[np.ix_(PLANE_Y, PLANE_Y)] = plane
@@ -330,7 +330,7 @@ def free_rotor(rotor: Rotor) -> RotorMatrices:
     for number, element in enumerate(rotor.elements):
         _add(number, (mass, gyroscopic), inertia_matrices(element))
         factor = np.prod([sleeve.stiffening for sleeve in rotor.sleeves if sleeve.element == number + 1])
-        _add(number, (stiffness,), (factor * in_both_planes(plane_stiffness(element)),))
+        _add(number, (stiffness,), (factor * expand_to_both_planes(plane_stiffness(element)),))
     damping = rotor.alpha * mass + rotor.beta * stiffness
     for sleeve in rotor.sleeves:
         element = rotor.elements[sleeve.element - 1]
@@ -353,7 +353,7 @@ def _add(number: int, wholes: tuple[FloatArray, ...], parts: tuple[FloatArray, .
         whole[dofs, dofs] += part
 
 
-def supported_rotor(rotor: Rotor, supports: Iterable[Support]) -> RotorMatrices:
+def supported_rotor(rotor: Rotor, supports: Iterable[NodeSupport]) -> RotorMatrices:
     """The rotor on its bearings. ConfigError for a bearing on a node that does not exist."""
     free = free_rotor(rotor)
     damping, stiffness = free.damping.copy(), free.stiffness.copy()

@@ -18,7 +18,7 @@ from labpipe.artefacts.json_file import without_nan
 from labpipe.errors import FitError
 from labpipe.methods.rotor import response
 from labpipe.methods.rotor.rig import RotorRig
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.report.chart import Axis, Panel, curve, stack, upright
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
@@ -137,7 +137,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         response.modes(rig.rotor, support, 2 * np.pi * speed)
         for support, speed in zip(supports, speeds, strict=True)
     ]
-    frequency, decrement, whirl = followed(
+    frequency, decrement, whirl = follow_modes(
         at_speeds,
         [
             (solution.eigenvalues.imag / (2 * np.pi), decrements(solution.eigenvalues), solution.whirl)
@@ -176,8 +176,8 @@ def decrements(roots: ComplexArray) -> FloatArray:
     return -2 * np.pi * roots.real / roots.imag
 
 
-def followed(
-    each: Sequence[response.Modes], amounts: Sequence[tuple[FloatArray, ...]]
+def follow_modes(
+    each: Sequence[response.WhirlModes], amounts: Sequence[tuple[FloatArray, ...]]
 ) -> tuple[FloatArray, ...]:
     """The *amounts* (n_mode,) [any unit] of the modes at every speed as (n_speed, n_column) of modes that are
     followed; NaN where one is not there.
@@ -189,14 +189,16 @@ def followed(
     )
 
 
-def _supports_between(speeds: FloatArray, supports: Sequence[Sequence[Support]]) -> response.SupportsAtSpeed:
+def _supports_between(
+    speeds: FloatArray, supports: Sequence[Sequence[NodeSupport]]
+) -> response.SupportsAtSpeed:
     nodes = [support.node for support in supports[0]]
     coefficients = np.array([[(support.stiffness, support.damping) for support in row] for row in supports])
     spline = scipy.interpolate.make_interp_spline(speeds, coefficients, k=min(3, speeds.size - 1))
-    return lambda speed: [Support(node, k, c) for node, (k, c) in zip(nodes, spline(speed), strict=True)]
+    return lambda speed: [NodeSupport(node, k, c) for node, (k, c) in zip(nodes, spline(speed), strict=True)]
 
 
-def follow(each: Sequence[response.Modes]) -> FloatArray:
+def follow(each: Sequence[response.WhirlModes]) -> FloatArray:
     """Numbers (n_speed, n_mode) [-] of the modes at every speed so that a column is one mode; -1: it is not
     there. A mode that begins to oscillate within the speeds, as oil whirl may, has a column as well.
     Neighbouring speeds are paired by the assurance criterion of their shapes times exp(-(d ln |lambda| /
@@ -246,7 +248,7 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
         # The major semi-axis of an orbit is the sum of its two circles.
         return np.sum(np.abs(response.forward_backward_motion(motion)), axis=2)
 
-    def of_node(n: int) -> AmplitudeAt:
+    def amplitude_of_node(n: int) -> AmplitudeAt:
         return lambda speeds: amplitudes(speeds)[:, n]
 
     fine = np.linspace(theory.speed[0], theory.speed[-1], FINE)
@@ -254,7 +256,7 @@ def _with_response(theory: RotorTheory, at: response.SupportsAtSpeed) -> RotorTh
     criticals = [
         critical
         for n, node in enumerate(nodes)
-        for critical in peaks(fine, amplitude[:, n], node, of_node(n))
+        for critical in peaks(fine, amplitude[:, n], node, amplitude_of_node(n))
     ]
     # Peaks that are alike are one critical speed, told where it is sharpest
     kept: list[Critical] = []

@@ -18,7 +18,7 @@ from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.rotor import shaft
 from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
-from labpipe.methods.rotor_system.model import Curve, SystemModel, Term, Unknown
+from labpipe.methods.rotor_system.model import Curve, MatrixBlock, SystemModel, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices
 from labpipe.records.settings import StandardDeviations, quantity
 from labpipe.records.uncertain import Uncertainty
@@ -303,7 +303,7 @@ def build(
     elif alternative == TOGETHER:
         small = replace(small, together=ALTOGETHER)
     turning = frozenset([name for name, channels in sensors.items() if channels.turning] + [RUNNING])
-    return _Builder(system, small, turning).built(sensors)
+    return _Builder(system, small, turning).build(sensors)
 
 
 def _unknown_pedestal(system: RotorSystem, place: BearingPlace) -> Pedestal:
@@ -324,7 +324,7 @@ class _Builder:
     def __init__(self, system: RotorSystem, small: SmallErrors, running: frozenset[str]) -> None:
         self.system, self.small, self.running = system, small, running
         self.unknowns: list[Unknown] = []
-        self.terms: list[Term] = []
+        self.terms: list[MatrixBlock] = []
         # Inputs of bearing models and calibrations by their sources: numbers of one source have one error.
         self.sources: dict[str, int] = {}
         self.together = {
@@ -347,9 +347,10 @@ class _Builder:
         factors: tuple[int, ...] = (),
         **entries: object,
     ) -> None:
-        self.terms.append(Term(matrix, tuple(dofs), block, factors, **entries))  # type: ignore[arg-type]
+        term = MatrixBlock(matrix, tuple(dofs), block, factors, **entries)  # type: ignore[arg-type]
+        self.terms.append(term)
 
-    def built(self, sensors: Mapping[str, Sensors]) -> Built:
+    def build(self, sensors: Mapping[str, Sensors]) -> Built:
         rig = self.system.rig
         self._shaft()
         self._discs()
@@ -367,8 +368,8 @@ class _Builder:
         phases: dict[str, tuple[int, ...]] = {}
         for test, channels in sensors.items():
             phase = self.small.phase if channels.phase else 0.0
-            gains[test] = self._of_sensors("gain", test, channels, channels.gain)
-            phases[test] = self._of_sensors("phase", test, channels, phase, unit="rad", group="phase")
+            gains[test] = self._sensor_unknowns("gain", test, channels, channels.gain)
+            phases[test] = self._sensor_unknowns("phase", test, channels, phase, unit="rad", group="phase")
             for stated in channels.calibrations:
                 self._source(f"sensor {stated.source}", stated, 0.0)
         n_shaft = 4 * rig.rotor.n_node
@@ -376,7 +377,7 @@ class _Builder:
         model = SystemModel(tuple(self.unknowns), tuple(self.terms), n_dof, n_shaft)
         return Built(model, planes, gains, phases, self.sources)
 
-    def _of_sensors(
+    def _sensor_unknowns(
         self, what: str, test: str, sensors: Sensors, error: float, **entries: Any
     ) -> tuple[int, ...]:
         return tuple(
@@ -412,7 +413,7 @@ class _Builder:
             local = self.unknown(f"element {number}", self.small.elements, group="elements")
             acting = (*young[element.material], *sleeve, *local)
             plane = constant * shaft.plane_stiffness(element)
-            stiffness, turning = shaft.in_both_planes(plane), (*acting, *internal)
+            stiffness, turning = shaft.expand_to_both_planes(plane), (*acting, *internal)
             self.add("stiffness", dofs, stiffness, acting)
             if rotor.alpha or rotor.beta:
                 self.add("damping", dofs, rotor.alpha * mass)

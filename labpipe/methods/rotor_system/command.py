@@ -49,7 +49,7 @@ def rotor(
 
     render = None if output is None else DOCUMENTS.load(output.suffix.lstrip("."))
     system = load_system(rotor_path, overrides)
-    result_of = _with_intervals if system.is_uncertain else _by_theory
+    result_of = _with_intervals if system.is_uncertain else _evaluate_theory
     entry, document = result_of(system, np.linspace(*_band(speeds, system.rig.speed), steps))
     if json_path is not None:
         with output_file(json_path) as path:
@@ -59,7 +59,7 @@ def rotor(
             path.write_bytes(render(document))
 
 
-def _by_theory(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any], Document]:
+def _evaluate_theory(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, Any], Document]:
     from labpipe.methods.rotor import theory
 
     rig = system.rig

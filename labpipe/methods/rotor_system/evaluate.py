@@ -34,7 +34,7 @@ from labpipe.methods.rotor_system.posterior import (
 )
 from labpipe.methods.rotor_system.settings import MODES, RESPONSE, RotorSystemSettings, SystemTest, place_of
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.section import run_as_measured
+from labpipe.methods.run_ups.section import read_measured_run
 from labpipe.project.work import Work
 from labpipe.quantities import UnitError
 from labpipe.records.finding import NORMAL, NOTE, WARNING, Finding, note
@@ -133,7 +133,7 @@ def _fit(
     readings: Mapping[str, Reading],
 ) -> tuple[build.Built, SystemPosterior]:
 
-    def fitted(alternative: str) -> tuple[build.Built, SystemPosterior]:
+    def fit_alternative(alternative: str) -> tuple[build.Built, SystemPosterior]:
         built = build.build(system, settings.small_errors, sensors, alternative)
         tests = [evidence_of(test, built, system, work, readings.get(test.name)) for test in settings.tests]
         return built, replace(fit_system(built.model, tests), alternative=alternative)
@@ -141,7 +141,7 @@ def _fit(
     alternatives = [build.PEDESTALS] if not system.pedestals else []
     running = any(sensor.turning for sensor in sensors.values())
     alternatives += [build.TOGETHER] if running and not settings.small_errors.together else []
-    return most_probable(fitted, alternatives)
+    return most_probable(fit_alternative, alternatives)
 
 
 def most_probable(
@@ -176,7 +176,7 @@ def _reading(test: SystemTest, work: Work) -> Reading | None:
     if test.run is None:
         return None
     # Two tests may have recordings of one name, in folders of their own.
-    run = run_as_measured(replace(test.run, name=test.name), work.output, work.pipeline.folder).run
+    run = read_measured_run(replace(test.run, name=test.name), work.output, work.pipeline.folder).run
     if run.shaker is not None:
         raise DataError(f"test '{test.name}': a shaker excites this run", hint="give it as an FRF")
     return run
@@ -439,7 +439,7 @@ def system_result(
         operating,
         unknowns=tuple(_unknowns(posterior, pulled)),
         tests=tuple(
-            records.TestResult(test.name, test.kind, *chi2, chi2_tail(*chi2), pull.unknown, pull.z)
+            records.SystemTestResult(test.name, test.kind, *chi2, chi2_tail(*chi2), pull.unknown, pull.z)
             for test, pull, chi2 in zip(posterior.tests, pulled, posterior.chi2.values(), strict=True)
         ),
         small_errors=tuple(
@@ -580,7 +580,7 @@ def _next_tests(
         above = [at for peak in criticals if (at := 2 * np.pi * peak.speed) > test.speed[-1]]
         if above and (top := NEARER * min(above)) > 1.02 * test.speed[-1]:
             speed = np.linspace(test.speed[0], top, test.speed.size)
-            nearer = test.planned(speed, np.median(test.noise, axis=1))
+            nearer = test.plan(speed, np.median(test.noise, axis=1))
             candidates[f"{test.name} up to {30 / np.pi * top:.0f} rpm"] = nearer
     spreads = {name: posterior.covariance_with(test) for name, test in candidates.items()}
     spreads = {"as it is": posterior.covariance} | spreads

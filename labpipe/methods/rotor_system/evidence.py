@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
 from labpipe.estimation.leakage import Leakage
-from labpipe.methods.rotor.posterior import Evidence, Residual
+from labpipe.methods.rotor.posterior import Residual, ResidualEvidence
 from labpipe.methods.rotor_system.model import Derivatives, SystemModel
 from labpipe.methods.run_ups.records import RunUp
 
@@ -22,7 +22,7 @@ from labpipe.methods.run_ups.records import RunUp
 FEW_LINES = 48
 
 
-class SystemEvidence(Evidence[SystemModel], Protocol):
+class SystemEvidence(ResidualEvidence[SystemModel], Protocol):
     """A test of a rotor with all that carries it: its *kind* and *name*, and its residual."""
 
     kind: ClassVar[str]
@@ -30,7 +30,7 @@ class SystemEvidence(Evidence[SystemModel], Protocol):
     @property
     def name(self) -> str: ...
 
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> SystemEvidence:
+    def loosen(self, model: SystemModel, values: FloatArray, share: float) -> SystemEvidence:
         """The test at *values* (n_unknown,) [SI units] with this *share* of every amplitude, measured or of
         the model, added to its noise: for the first steps from a poor start.
         """
@@ -38,7 +38,7 @@ class SystemEvidence(Evidence[SystemModel], Protocol):
 
 
 class _RobustTest:
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Self:  # noqa: ARG002
+    def loosen(self, model: SystemModel, values: FloatArray, share: float) -> Self:  # noqa: ARG002
         """The test itself at any *values* (n_unknown,) [SI units]: it leads on from a poor start."""
         return self
 
@@ -57,7 +57,7 @@ class FreeModes(_RobustTest):
     damping: FloatArray
     damping_error: FloatArray
 
-    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict(self, model: SystemModel, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """ln f and ln zeta (2 n_mode,) [1] of the plane y, and their derivatives (2 n_mode, n_unknown).
 
         f = |lambda| / 2 pi and zeta = -Re lambda / |lambda| of the rotor without what carries it.
@@ -78,8 +78,8 @@ class FreeModes(_RobustTest):
         return ln, np.concatenate([of_size, of_damping])
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
-        ln, slopes = self.predicted(model, values)
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see SystemEvidence."""
+        ln, slopes = self.predict(model, values)
         measured = np.log(np.concatenate([self.frequency, self.damping]))
         error = np.concatenate([self.frequency_error, self.damping_error])
         there = np.isfinite(measured)
@@ -114,7 +114,7 @@ def as_real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
-def calibrated(
+def calibration_errors(
     model: SystemModel, values: FloatArray, changes: Mapping[int, ComplexArray]
 ) -> tuple[ComplexArray | float, dict[int, ComplexArray]]:
     """What errors of calibrations add to what was measured (n_line, ...) [its unit], and its derivative by
@@ -150,7 +150,7 @@ class Responses:
     shared: float = 1.0
     leakage: Leakage | None = None
 
-    def predicted(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
+    def predict(self, model: SystemModel, values: FloatArray) -> tuple[ComplexArray, Derivatives]:
         """H (n_line, n_output, n_input) [m/N] and its derivatives (n_unknown, ...); of random data of the
         expected H1.
         """
@@ -158,13 +158,13 @@ class Responses:
         forces, spin = np.eye(model.n_dof)[:, list(self.inputs)], np.full(omega.size, self.spin)
         acting = np.where(model.acting(self.name), values, 0.0)
         motion, slopes, _ = model.response(acting, spin, omega, forces, self.outputs, self.supported)
-        motion = self._shown(motion)
+        motion = self._select_shown(motion)
         gains = np.exp(acting[list(self.gains)])[:, None] if self.gains else 1.0
         modelled = motion * gains
-        added, by_unknown = calibrated(model, values, self.changes)
+        added, by_unknown = calibration_errors(model, values, self.changes)
 
         def derivatives() -> ComplexArray:
-            moved = self._shown(slopes()) * gains
+            moved = self._select_shown(slopes()) * gains
             for output, number in enumerate(self.gains):
                 moved[number, :, output] += modelled[:, output]
             for number, change in by_unknown.items():
@@ -173,19 +173,19 @@ class Responses:
 
         return modelled + added, derivatives
 
-    def _shown(self, values: ComplexArray) -> ComplexArray:
-        return values if self.leakage is None else self.leakage.averaged(values)
+    def _select_shown(self, values: ComplexArray) -> ComplexArray:
+        return values if self.leakage is None else self.leakage.average(values)
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
-        modelled, slopes = self.predicted(model, values)
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see SystemEvidence."""
+        modelled, slopes = self.predict(model, values)
         there = np.isfinite(self.error)
         weight = 1 / self.error[there]
         residual = as_real((self.measured - modelled)[there] * weight)
         return residual, lambda: as_real((-slopes()[:, there] * weight).T) * model.acting(self.name)
 
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
-        """At *values* (n_unknown,) [SI units], see Evidence."""
+    def loosen(self, model: SystemModel, values: FloatArray, share: float) -> Responses:
+        """At *values* (n_unknown,) [SI units], see SystemEvidence."""
         few = slice(None, None, max(1, self.omega.size // FEW_LINES))
         thinned = replace(
             self,
@@ -195,7 +195,7 @@ class Responses:
             changes={number: change[few] for number, change in self.changes.items()},
             leakage=self.leakage and replace(self.leakage, numbers=self.leakage.numbers[few]),
         )
-        size = np.maximum(np.abs(thinned.measured), np.abs(thinned.predicted(model, values)[0]))
+        size = np.maximum(np.abs(thinned.measured), np.abs(thinned.predict(model, values)[0]))
         return replace(thinned, error=np.hypot(thinned.error, share * size))
 
 
@@ -257,7 +257,7 @@ class RunUpVectors:
         probes = np.broadcast_to(np.exp(gains + 1j * phases), len(self.outputs))
         influence = (left @ forces) * probes[:, None]
         vectors = motion[:, :, 0] * probes
-        shown, by_unknown = calibrated(model, values, self.changes)
+        shown, by_unknown = calibration_errors(model, values, self.changes)
 
         def derivatives() -> ComplexArray:
             moved = slopes()[..., 0] * probes
@@ -274,7 +274,7 @@ class RunUpVectors:
         return vectors + shown, derivatives, influence
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see SystemEvidence."""
         vectors, slopes, _ = self.readings(model, values)
         white = np.einsum("pij,jp->ip", self.whitener, self.measured - vectors).ravel()
 
@@ -284,7 +284,7 @@ class RunUpVectors:
 
         return as_real(white), jacobian
 
-    def planned(
+    def plan(
         self, speed: FloatArray, noise: FloatArray | float, added: tuple[tuple[int, complex], ...] = ()
     ) -> RunUpVectors:
         """A run that is not made yet, at other speeds (n_speed,) [rad/s], with an *added* unbalance and the
@@ -306,8 +306,8 @@ class RunUpVectors:
         """Standard deviation of a component of each probe and speed, (n_probe, n_speed) [m]."""
         return 1 / np.linalg.norm(self.whitener, axis=2)
 
-    def loosened(self, model: SystemModel, values: FloatArray, share: float) -> RunUpVectors:
-        """At *values* (n_unknown,) [SI units], see Evidence."""
+    def loosen(self, model: SystemModel, values: FloatArray, share: float) -> RunUpVectors:
+        """At *values* (n_unknown,) [SI units], see SystemEvidence."""
         vectors = self.readings(model, values)[0]
         error = np.hypot(self.noise, share * np.maximum(np.abs(self.measured), np.abs(vectors)).T)
         return replace(self, whitener=np.eye(self.speed.size) / error[:, :, None])
@@ -339,7 +339,7 @@ class Deflections(_RobustTest):
     mass_error: float = 1.0
 
     def residual(self, model: SystemModel, values: FloatArray) -> Residual:
-        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see Evidence."""
+        """(n,) [1] and (n, n_unknown) [1 over the unknown's unit], see SystemEvidence."""
         acting = np.where(model.acting(self.name), values, 0.0)
         parts: list[tuple[FloatArray, FloatArray]] = []
         if self.measured.size:

@@ -66,7 +66,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Term:
+class MatrixBlock:
     """A *block* (k, k) [SI units] of one *matrix* at *dofs* (k,), times exp(sum of the unknowns *factors*),
     times the unknown *amount*; unknowns by their numbers.
 
@@ -138,7 +138,7 @@ class SystemModel:
     """
 
     unknowns: tuple[Unknown, ...]
-    terms: tuple[Term, ...]
+    terms: tuple[MatrixBlock, ...]
     n_dof: int
     n_shaft: int
 
@@ -196,7 +196,7 @@ class SystemModel:
         stacks = (zip(*by_size[size], strict=True) for size in sorted(by_size))
         return tuple(_Stack(*map(np.array, columns)) for columns in stacks)
 
-    def _curve(self, supported: bool) -> Iterator[tuple[int, Term]]:
+    def _curve(self, supported: bool) -> Iterator[tuple[int, MatrixBlock]]:
         return (
             (number, term)
             for number, term in enumerate(self.terms)
@@ -420,7 +420,7 @@ class SystemModel:
         left = np.zeros_like(shapes)
         left[kept] = linalg.lu_solve(inverse, vectors[0][n:, chosen])
         v, p = shapes.T[:, :, None], left.T[:, :, None]
-        scale = between(p, 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin), v)
+        scale = project_between(p, 2 * eigenvalues[:, None, None] * whole.mass + whole.at_speed(spin), v)
         moved = self.slopes(values, spin, adjoint(p), v, eigenvalues, supported)[:, :, 0, 0]
         return Roots(eigenvalues, shapes, -(moved / scale).T)
 
@@ -450,7 +450,7 @@ class SystemModel:
         restoring, damping = whole.restoring(spin), whole.at_speed(spin)
         curves = [(POWERS[t.matrix][0], np.array(t.dofs), weights[n], t) for n, t in self._curve(True)]
 
-        def added(omega: FloatArray) -> Iterator[tuple[int, IntArray, FloatArray]]:
+        def added_terms(omega: FloatArray) -> Iterator[tuple[int, IntArray, FloatArray]]:
             return ((power, dofs, weight * t.at(spin, omega, values)) for power, dofs, weight, t in curves)
 
         def at(root: ComplexArray) -> tuple[ComplexArray, ...]:
@@ -460,7 +460,9 @@ class SystemModel:
             by_root = np.asarray(2 * s * whole.mass + damping, np.complex128)
             by_omega = np.zeros(by_root.shape, np.complex128)
             # One evaluation of a bearing at all frequencies: it costs little more than at one.
-            for power, dofs, block in added(np.concatenate([root.imag, root.imag + step, root.imag - step])):
+            for power, dofs, block in added_terms(
+                np.concatenate([root.imag, root.imag + step, root.imag - step])
+            ):
                 here = np.s_[:, dofs[:, None], dofs]
                 stiffness[here] += s**power * block[:n]
                 by_root[here] += power * block[:n]
@@ -468,7 +470,7 @@ class SystemModel:
                 by_omega[here] += s**power * change
             return stiffness, by_root, by_omega
 
-        root, shapes = self._by_bands((whole.mass, damping, restoring), added, most)
+        root, shapes = self._solve_bands((whole.mass, damping, restoring), added_terms, most)
         right, left = shapes[:, :, None], shapes[:, :, None].copy()
         open_ones = np.arange(root.size)
         for _ in range(ROUNDS):
@@ -479,10 +481,10 @@ class SystemModel:
             v = np.linalg.solve(beside, by_root @ right[open_ones])
             p = np.linalg.solve(adjoint(beside), adjoint(by_root) @ left[open_ones])
             v, p = (vectors / np.linalg.norm(vectors, axis=1, keepdims=True) for vectors in (v, p))
-            scale = between(p, by_root, v)
-            step = -between(p, stiffness, v) / scale
+            scale = project_between(p, by_root, v)
+            step = -project_between(p, stiffness, v) / scale
             near = np.abs(step) < NEAR * np.abs(r)
-            step = np.where(near, bent(step, between(p, by_omega, v) / scale), step)
+            step = np.where(near, bent(step, project_between(p, by_omega, v) / scale), step)
             root[open_ones], right[open_ones], left[open_ones] = r + step, v, p
             open_ones = open_ones[np.abs(step) > SETTLED * np.abs(r)]
             if not open_ones.size:
@@ -498,11 +500,11 @@ class SystemModel:
         if not slopes:
             return Roots(root, right[:, :, 0].T, np.zeros((root.size, 0), np.complex128))
         moved = self.slopes(values, spin, adjoint(left), right, root)[:, :, 0, 0]
-        scale, by_omega = (between(left, matrix, right) for matrix in at(root)[1:])
+        scale, by_omega = (project_between(left, matrix, right) for matrix in at(root)[1:])
         slope = bent(-moved / scale, by_omega / scale)
         return Roots(root, right[:, :, 0].T, slope.T)
 
-    def _by_bands(
+    def _solve_bands(
         self, matrices: tuple[FloatArray, FloatArray, FloatArray], added: _Added, most: int
     ) -> tuple[ComplexArray, ComplexArray]:
         """The slowest eigenvalues (n_mode,) [1/s], and shapes (n_mode, n_dof), each with what is *added* to
@@ -539,7 +541,7 @@ def orthonormal(shapes: FloatArray, least: float) -> FloatArray:
     return basis[:, size > least * size[0]]
 
 
-def between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
+def project_between(left: ComplexArray, matrices: ComplexArray, right: ComplexArray) -> ComplexArray:
     """p^H A v (n_mode,) [any unit] of vectors (n_mode, n_dof, 1) and matrices (n_mode, n_dof, n_dof)."""
     return (adjoint(left) @ matrices @ right)[:, 0, 0]
 

@@ -258,19 +258,19 @@ def _start(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray
     if len(standing.tests) < len(problem.tests):
         # The unbalance alone first, in which the vectors are linear.
         unbalance = np.array([unknown.unit == "kg.m" for unknown in problem.model.unknowns])
-        values = _descend(_loosened(problem, values, SLACK[0]), values, unbalance, steps)
+        values = _descend(_loosen(problem, values, SLACK[0]), values, unbalance, steps)
         values = _temper(problem, values, steps)
     return values
 
 
-def _loosened(problem: SystemProblem, values: FloatArray, share: float) -> SystemProblem:
-    tests = tuple(test.loosened(problem.model, values, share) for test in problem.tests)
+def _loosen(problem: SystemProblem, values: FloatArray, share: float) -> SystemProblem:
+    tests = tuple(test.loosen(problem.model, values, share) for test in problem.tests)
     return replace(problem, tests=tests)
 
 
 def _temper(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:
     for share in SLACK:
-        values = _descend(_loosened(problem, values, share), values, most_steps=steps)
+        values = _descend(_loosen(problem, values, share), values, most_steps=steps)
     return values
 
 

@@ -14,10 +14,10 @@ from scipy import linalg
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import FitError
-from labpipe.methods.balancing.influence import best_weights, rms_left, square_of
+from labpipe.methods.balancing.influence import best_weights, remaining_rms, square_of
 from labpipe.methods.rotor.posterior import root_of
-from labpipe.methods.rotor.response import GROWTH_TOLERANCE, Modes
-from labpipe.methods.rotor.theory import AmplitudeAt, Critical, decrements, followed, peaks
+from labpipe.methods.rotor.response import GROWTH_TOLERANCE, WhirlModes
+from labpipe.methods.rotor.theory import AmplitudeAt, Critical, decrements, follow_modes, peaks
 from labpipe.methods.rotor_system import records
 from labpipe.methods.rotor_system.build import RUNNING, Built
 from labpipe.methods.rotor_system.evidence import RunUpVectors, as_real
@@ -59,11 +59,11 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
         slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
         gradients = np.stack([slopes.imag / (2 * np.pi), decrement_slopes(solution.values, slopes)])
 
-        def predicted(values: FloatArray, modes: Modes = modes) -> FloatArray:
+        def predict(values: FloatArray, modes: WhirlModes = modes) -> FloatArray:
             """f and delta of each of the *modes* (2, n_mode)."""
             roots = model.roots(at_speed(model, values), modes.speed, 2 * MOST_MODES, slopes=False)
             drawn = _modes(model, modes.speed, roots)
-            pairs = followed([modes, drawn], [_frequency_and_decrement(of) for of in (modes, drawn)])
+            pairs = follow_modes([modes, drawn], [_frequency_and_decrement(of) for of in (modes, drawn)])
             shown = np.full((2, modes.eigenvalues.size), np.nan)
             n = min(MOST_MODES, modes.eigenvalues.size)
             shown[:, :n] = np.array(pairs)[:, 1, :n]
@@ -71,19 +71,19 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
 
         (frequency, decrement), errors = (
             _frequency_and_decrement(modes),
-            posterior.error_of(gradients, predicted),
+            posterior.error_of(gradients, predict),
         )
         each.append(modes)
         amounts.append((frequency, errors[0], decrement, errors[1], modes.whirl))
-    return records.Campbell(np.asarray(speeds), *followed(each, amounts))
+    return records.Campbell(np.asarray(speeds), *follow_modes(each, amounts))
 
 
-def _modes(model: SystemModel, speed: float, roots: Roots) -> Modes:
+def _modes(model: SystemModel, speed: float, roots: Roots) -> WhirlModes:
     shaft = roots.shapes[: model.n_shaft].reshape(-1, 4, roots.values.size)
-    return Modes(speed, roots.values, shaft[:, :2].transpose(2, 0, 1))
+    return WhirlModes(speed, roots.values, shaft[:, :2].transpose(2, 0, 1))
 
 
-def _frequency_and_decrement(modes: Modes) -> tuple[FloatArray, FloatArray]:
+def _frequency_and_decrement(modes: WhirlModes) -> tuple[FloatArray, FloatArray]:
     return modes.eigenvalues.imag / (2 * np.pi), decrements(modes.eigenvalues)
 
 
@@ -335,7 +335,7 @@ def balance(
     test = replace(runs[0], speed=speed, added=(), measured=nothing, changes={})
     drawn = drawn_influence(built, test, posterior.draws(settings.draws, settings.seed))
     weights = best_weights(square_of(drawn))
-    before, left = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))
+    before, left = (remaining_rms(drawn, acting) for acting in (np.zeros_like(weights), weights))
     return records.BalanceResult(
         settings.balance_speeds,
         tuple(
@@ -347,11 +347,11 @@ def balance(
         interval_of(left, posterior.widened),
         _next_weights(built, posterior, test, weights),
         stated_influence(built, posterior, test),
-        _over_speed(settings, built, posterior, test, weights),
+        _predict_over_speed(settings, built, posterior, test, weights),
     )
 
 
-def _over_speed(
+def _predict_over_speed(
     settings: RotorSystemSettings,
     built: Built,
     posterior: SystemPosterior,
@@ -363,7 +363,7 @@ def _over_speed(
     wide = replace(test, speed=2 * np.pi * speed)
     drawn = drawn_influence(built, wide, posterior.draws(LOOKED, settings.seed))
     drawn = drawn.reshape(LOOKED, SPEEDS, -1, drawn.shape[-1])
-    before, after = (rms_left(drawn, acting) for acting in (np.zeros_like(weights), weights))
+    before, after = (remaining_rms(drawn, acting) for acting in (np.zeros_like(weights), weights))
     low, high = np.percentile(after, (2.5, 97.5), axis=0)
     before, middle = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
     return records.VibrationResult(speed, before, middle, low, posterior.widened * high)
@@ -424,8 +424,8 @@ def _next_weights(
     by_run = {}
     for name, weights_of_run in sets.items():
         added = tuple((built.planes[node][0], amount) for node, amount in weights_of_run.items())
-        covariance = posterior.covariance_with(test.planned(test.speed, noise, added))
+        covariance = posterior.covariance_with(test.plan(test.speed, noise, added))
         drawn = drawn_influence(built, test, normal_draws(posterior.values, covariance, LOOKED))
-        left = rms_left(drawn, best_weights(square_of(drawn)))
+        left = remaining_rms(drawn, best_weights(square_of(drawn)))
         by_run[name] = float(np.sqrt(np.mean(left**2)))
     return by_run

@@ -32,7 +32,7 @@ class UnknownResult:
 
 
 @dataclass(frozen=True)
-class TestResult:
+class SystemTestResult:
     """A test: chi-square of its *n* data with its probability, and the unknown that it pulls most against all
     others, by *z* standard errors of that.
     """
@@ -161,7 +161,7 @@ class RotorSystemResult:
     operating: float
     _: KW_ONLY
     unknowns: tuple[UnknownResult, ...]
-    tests: tuple[TestResult, ...]
+    tests: tuple[SystemTestResult, ...]
     small_errors: tuple[SmallErrorResult, ...]
     campbell: Campbell
     decrement: tuple[float, float, float]

@@ -87,7 +87,7 @@ def findings(result: RotorSystemResult) -> Iterator[tuple[str, Finding]]:
     return ((result.rotor, finding) for finding in result.findings)
 
 
-def listed(result: RotorSystemResult) -> Iterator[ListedParameter]:
+def list_parameters(result: RotorSystemResult) -> Iterator[ListedParameter]:
     """Unknowns and predictions."""
     codes = tuple(dict.fromkeys(finding.code for finding in of_level(WARNING, result.findings)))
     for name, (value, error, unit) in _amounts(result).items():
@@ -351,7 +351,7 @@ ROTOR_SYSTEM = PipelineSection(
     entry=NAME,
     outcome=outcome,
     findings=findings,
-    parameters=listed,
+    parameters=list_parameters,
     report=sections,
     cover=cover,
     terminal=lines,

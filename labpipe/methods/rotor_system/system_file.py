@@ -17,7 +17,7 @@ from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
 from labpipe.methods.rotor_system.build import Pedestal, RotorSystem, linear_bearing
 from labpipe.project.marked_yaml import Marked, load_marked
-from labpipe.project.settings_reader import Faults, in_one_line, join, read_settings
+from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
 from labpipe.quantities import UnitError
 from labpipe.records.settings import FileKind, Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
@@ -165,7 +165,7 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
     for label, entry in entries.items():
         if not isinstance(entry.content, dict) or name not in entry.content:
             continue
-        number = in_one_line(entry.content[name])
+        number = shorten_number(entry.content[name])
         if not is_uncertain(number.text):
             continue
         try:

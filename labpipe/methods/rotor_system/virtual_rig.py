@@ -179,7 +179,7 @@ def record(rig: RotorTestRig, name: str, rng: np.random.Generator) -> Recording:
     return (_run_up if name == RUN_UP else _shaken)(world_of(rig), name, rng)
 
 
-def _logged(run: Recording) -> LoggedTable:
+def _log_table(run: Recording) -> LoggedTable:
     # As loggers of 16 bits store them: in steps of 50 nm and 10 mm/s^2.
     steps = {"displacement": 50, "acceleration": 10}
     by_channel = {channel.name: steps.get(channel.quantity, 1) for channel in run.channels}
@@ -190,7 +190,7 @@ ROTOR_RIG = kind_of_recordings(
     RotorTestRig,
     runs=lambda _rig: RUNS,
     record=record,
-    logged=_logged,
+    logged=_log_table,
     truth=true_values,
     noisy=lambda rig, level: replace(
         rig,

@@ -147,7 +147,7 @@ def _trace(
     objectives: list[float] = []
     number = np.array([problem])
 
-    def scaled(parts: FloatArray) -> float:
+    def scale(parts: FloatArray) -> float:
         inside = np.clip(parts, 0, 1)
         points.append(inside)
         objectives.append(float(objective((lower + inside * width)[None, None], number)[0, 0]))
@@ -158,7 +158,7 @@ def _trace(
     bounds = scipy.optimize.Bounds(np.zeros(start.size), np.ones(start.size))
     try:
         outcome = scipy.optimize.minimize(
-            scaled, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
+            scale, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
         )
     except ValueError as error:
         if "Unknown solver" not in str(error):
@@ -262,7 +262,7 @@ def _fit_load(
     objectives = search.objective.reshape(starts, n)
     best = np.argmin(objectives, axis=0) * n + np.arange(n)
     eight = start * search.values[best]
-    misfit = amplitudes.computed(eight, np.arange(n)) - amplitudes.measured
+    misfit = amplitudes.compute(eight, np.arange(n)) - amplitudes.measured
     rank, condition = rank_of(amplitudes.slopes(eight) * scales(start)[:, None, :])
     return AmplitudeFit(
         load=group.load,
@@ -298,7 +298,7 @@ class Amplitudes:
         errors = [_error(run.run) for run in group.runs]
         return cls(group.runs, np.concatenate(measured, axis=1), np.concatenate(errors, axis=1))
 
-    def computed(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
+    def compute(self, eight: FloatArray, chosen: IntArray) -> FloatArray:
         """(..., n_chosen, n_plane) [m] by coefficients (..., n_chosen, 8) [N/m, N s/m] at *chosen* speeds."""
         matrices, sizes = rotor.as_matrices(eight), []
         for run in self.runs:
@@ -311,7 +311,7 @@ class Amplitudes:
 
         def squares(factors: FloatArray, chosen: IntArray) -> FloatArray:
             place = chosen % start.shape[0]
-            misfit = self.computed(start[place] * factors, place) - self.measured[place]
+            misfit = self.compute(start[place] * factors, place) - self.measured[place]
             return np.sum(misfit**2, axis=-1)
 
         return squares

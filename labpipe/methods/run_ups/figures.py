@@ -216,7 +216,11 @@ def _speed_series(result: records.RunUpResult, item: str) -> tuple[chart.Series,
 
 
 def _speeds(
-    amounts: Sequence[tuple[float, records.Amount | None]], name: str, colour: int, line: str, **style: Any
+    amounts: Sequence[tuple[float, records.UncertainAmount | None]],
+    name: str,
+    colour: int,
+    line: str,
+    **style: Any,
 ) -> list[chart.Series]:
     points = sorted((load, one.value, one.std_error or 0.0) for load, one in amounts if one is not None)
     if not points:
@@ -303,16 +307,16 @@ def _coefficient(
 def convergence_figure(method: records.RunUpMethod, search: records.Convergence) -> Figure:
     meshed = bool(np.any(np.isfinite(search.mesh)))
 
-    def over_steps(name: str, values: FloatArray | records.Column, axis: chart.Axis) -> chart.Panel:
+    def step_panel(name: str, values: FloatArray | records.Column, axis: chart.Axis) -> chart.Panel:
         shown = np.any(np.isfinite(values))
         curve = chart.curve(name, np.arange(len(values)), values, marker=".")
         return chart.Panel(ITERATION, axis, (curve,) if shown else ())
 
     objective = chart.Axis("objective", "um²", logarithmic=True)
     panels = (
-        over_steps("objective", 1e12 * np.array(search.objective), objective),
-        over_steps("mesh", search.mesh, chart.Axis("mesh size, part of the box", logarithmic=meshed)),
-        over_steps("evaluations", search.evaluations, chart.Axis("evaluations")),
+        step_panel("objective", 1e12 * np.array(search.objective), objective),
+        step_panel("mesh", search.mesh, chart.Axis("mesh size, part of the box", logarithmic=meshed)),
+        step_panel("evaluations", search.evaluations, chart.Axis("evaluations")),
         _factors((chart.dots("best", np.arange(8), search.best, marker="o", size=6.0),)),
     )
     end = "ended by the limit on evaluations" if search.capped else "ended at its tolerance"

@@ -144,10 +144,11 @@ class RunUpFit(Posterior[Family]):
         """V + V E V of all parameters (n_parameter, n_parameter) [1], E the `shared_noise` of the runs."""
         covariance = super().covariance
         return (
-            covariance + covariance @ misfit.shared_noise(self._by_baselines(), len(covariance)) @ covariance
+            covariance
+            + covariance @ misfit.shared_noise(self._residuals_by_baselines(), len(covariance)) @ covariance
         )
 
-    def _by_baselines(self) -> Iterator[tuple[RunUp, FloatArray]]:
+    def _residuals_by_baselines(self) -> Iterator[tuple[RunUp, FloatArray]]:
         for group in self.groups:
             eight, by_parameter = self.with_slopes(group.load, group.speed)
             for excited in (excited for excited in group.runs if excited.run.baseline is not None):
@@ -207,7 +208,7 @@ class RunUpFit(Posterior[Family]):
         """Of all parameters (n_parameter, n_parameter) [1]: noise and priors, widened, and the probes."""
         return self.widening**2 * self.covariance + self.systematic.T @ self.systematic
 
-    def unexplained(self, load: float, speed: FloatArray) -> FloatArray:  # noqa: ARG002
+    def field_covariance(self, load: float, speed: FloatArray) -> FloatArray:  # noqa: ARG002
         """Covariance (n_speed, n_speed) [-] of the logarithms of each coefficient beyond the parameters."""
         return np.zeros((speed.size, speed.size))
 
@@ -215,7 +216,7 @@ class RunUpFit(Posterior[Family]):
         """The eight coefficients and their standard errors, (n_speed, 8) each [N/m, N s/m]."""
         eight, slopes = self.with_slopes(load, speed)
         variance = np.einsum("nij,jk,nik->ni", slopes, self.whole_covariance, slopes)
-        beyond = np.maximum(np.diagonal(self.unexplained(load, speed)), 0)[:, None] * eight**2
+        beyond = np.maximum(np.diagonal(self.field_covariance(load, speed)), 0)[:, None] * eight**2
         return eight, np.sqrt(variance + self.widening**2 * beyond)
 
     def critical_speed(self, load: float, plane: str = "") -> Uncertain:
@@ -226,7 +227,7 @@ class RunUpFit(Posterior[Family]):
         step = PEAK_STEP * speed
         around = speed + step * np.array([-1.0, 0.0, 1.0])
         number = self.rig.plane_names.index(plane) if plane else -1
-        response, slopes = self.rig.condensed(around, self.rig.known_unbalance).response_and_slopes(
+        response, slopes = self.rig.condense(around, self.rig.known_unbalance).response_and_slopes(
             *self.at_load(load)(around)
         )
         size = rotor.largest_displacement(response.reshape(3, -1, 2))[:, number]
@@ -246,7 +247,7 @@ class RunUpFit(Posterior[Family]):
         by_eight = -np.concatenate([mode.by_stiffness.ravel(), mode.by_damping.ravel()]) / by_speed
         return Uncertain(speed, self._error(load, np.array([speed]), by_eight[None]))
 
-    def extrapolated(self, load: float) -> str:
+    def extrapolation_warning(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
         beyond = outside(load, min(self.loads), max(self.loads), "the fit")
         return beyond and f"{beyond}: "
@@ -255,7 +256,7 @@ class RunUpFit(Posterior[Family]):
         """Of a prediction with slopes *weights* (n_speed, 8) by coefficients at *speed*."""
         eight, slopes = self.with_slopes(load, speed)
         by_parameter, by_field = np.einsum("ni,nij->j", weights, slopes), weights * eight
-        beyond = np.einsum("ni,nm,mi->", by_field, self.unexplained(load, speed), by_field)
+        beyond = np.einsum("ni,nm,mi->", by_field, self.field_covariance(load, speed), by_field)
         variance = by_parameter @ self.whole_covariance @ by_parameter
         return float(np.sqrt(variance + self.widening**2 * max(float(beyond), 0.0)))
 
@@ -306,7 +307,7 @@ class JointFit(RunUpFit[rotor.FilmFamily]):
         rejected = f"{excess}: the bearing is not of the fitted family, and no interval is given"
         only = "the interval holds for bearings of the fitted family only; "
         only += "chi-square tests the measured loads only"
-        beyond = self.extrapolated(load)
+        beyond = self.extrapolation_warning(load)
         return "; ".join(([rejected] if self.rejected else []) + ([f"{beyond}{only}"] if beyond else []))
 
 

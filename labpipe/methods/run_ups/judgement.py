@@ -42,7 +42,7 @@ PASSES = 4
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A *value* with its 95 % interval, in the unit of the value."""
 
     value: float
@@ -58,11 +58,11 @@ class JudgedPeak:
     """
 
     probe: str
-    speed: Estimate
-    amplification: Estimate | None
-    amplitude: Estimate
-    margin: Estimate | None
-    asked: Estimate | None
+    speed: IntervalEstimate
+    amplification: IntervalEstimate | None
+    amplitude: IntervalEstimate
+    margin: IntervalEstimate | None
+    asked: IntervalEstimate | None
     outcome: str
     probability: float | None
     fast: bool
@@ -75,12 +75,12 @@ class Sensitivity:
     """
 
     probe: str
-    size: Estimate
+    size: IntervalEstimate
     speed: float
 
 
 @dataclass(frozen=True)
-class Judgement:
+class RunUpJudgement:
     """What a run-up shows [m, or the unit of the probes]: *slow_roll* (n_probe,) that was taken out, peaks,
     sensitivities; *curve* (n_fine, n_probe) of amplitudes over *fine* (n_fine,) [Hz] with the *ends* (2,
     n_fine, n_probe) of its 95 % interval; *speed_range* [Hz].
@@ -127,7 +127,7 @@ def judge(
     speed_range: tuple[float, float] | None = None,
     unbalance: float = 0.0,
     baseline: OrderTrack | None = None,
-) -> Judgement:
+) -> RunUpJudgement:
     """The 1x track of a run judged; bands in [Hz], *unbalance* [kg m] of which the motion is the response:
     what was added since the *baseline* run, or all there is. DataError for too few speeds, or a dead probe.
 
@@ -136,11 +136,11 @@ def judge(
     what they scatter by. Equations (run-judged) and (run-late).
     """
     check_moving(track, "the run-up", range(len(track.ports)))
-    speed, readings, deviation = _by_speed(track)
+    speed, readings, deviation = _sort_by_speed(track)
     rng = np.random.default_rng(SEED)
     smooth = _Smooth(speed, readings, deviation)
     # The first is the reading itself.
-    curves = recorded = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
+    curves = recorded = np.concatenate([smooth.fitted[None], smooth.draw(rng)])
     rolled = None
     if slow_roll is not None:
         whole = np.abs(smooth.fitted)
@@ -160,9 +160,9 @@ def judge(
     for probe, label in enumerate(labels):
         for peak, drawn in _peaks(smooth.fine, amplitude[..., probe], halved[:, probe]):
             offset = None if rolled is None else offsets[:, probe]
-            passed, quotient = _passed(peak, track.speed, rate)
-            mode = _one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, passed, rng)
-            peak, drawn = mode or _as_steady(peak, drawn, passed, rng)
+            passed, quotient = _passing_rate(peak, track.speed, rate)
+            mode = _fit_one_mode(peak, speed, readings[:, probe], deviation[:, probe], offset, passed, rng)
+            peak, drawn = mode or _steady_peak(peak, drawn, passed, rng)
             judged_peaks.append(_judged_peak(peak, drawn, label, speed_range, quotient > STEADY))
     # The slow roll of a run and of its baseline is the same.
     moved = curves if baseline is None else recorded
@@ -172,12 +172,12 @@ def judge(
         else ()
     )
     ends = np.percentile(amplitude[1:], (2.5, 97.5), axis=0)
-    return Judgement(
+    return RunUpJudgement(
         labels, rolled, tuple(judged_peaks), sensitivities, smooth.fine, amplitude[0], ends, speed_range
     )
 
 
-def _by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
+def _sort_by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Rising speeds [Hz], readings, deviation of their parts; of equal speeds the first."""
     speed, order = np.unique(np.round(track.speed, 6), return_index=True)
     if speed.size < FEWEST:
@@ -216,7 +216,7 @@ class _Smooth:
         chi2 = np.sum(np.abs(left) ** 2 / (2 * deviation**2), axis=0) / dof
         self.deviation = deviation * np.sqrt(np.maximum(chi2, 1.0))
 
-    def drawn(self, rng: np.random.Generator) -> ComplexArray:
+    def draw(self, rng: np.random.Generator) -> ComplexArray:
         """With noise once more, (DRAWS, n_fine, n_probe) [unit of the readings]."""
         shape = (DRAWS, *self.deviation.shape)
         noise = self.deviation * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
@@ -271,9 +271,9 @@ def _slow_roll(
     return np.concatenate([fitted[:1], fitted[0] + noise])
 
 
-def _estimate(value: float, draws: Sequence[float]) -> Estimate:
+def _estimate(value: float, draws: Sequence[float]) -> IntervalEstimate:
     low, high = np.percentile(draws, (2.5, 97.5))
-    return Estimate(value, min(float(low), value), max(float(high), value))
+    return IntervalEstimate(value, min(float(low), value), max(float(high), value))
 
 
 def _peaks(
@@ -318,7 +318,7 @@ def _peak(fine: FloatArray, amplitude: FloatArray, first: int, last: int) -> Cri
     return Critical(float(fine[top] + shift * step), float(height**-0.5), 0, ends[0], ends[1])
 
 
-def _one_mode(
+def _fit_one_mode(
     peak: Critical,
     speed: FloatArray,
     readings: ComplexArray,
@@ -342,7 +342,7 @@ def _one_mode(
     fine = peak.speed + (peak.high - peak.low) * place
     scale = (speed[near] / peak.speed) ** 2
 
-    def fitted(values: ComplexArray, at: FloatArray) -> ComplexArray:
+    def fit(values: ComplexArray, at: FloatArray) -> ComplexArray:
         return rational_fit(x, (values / scale)[:, None], (deviation[near] / scale)[:, None], at)[:, 0]
 
     shifts = np.zeros(1 + DRAWS, complex) if offsets is None else offsets
@@ -350,12 +350,12 @@ def _one_mode(
     behind = np.zeros(x.size, complex)
     turned = (fine / peak.speed) ** 2
     for _ in range(PASSES):
-        curve = turned * fitted(middle + behind, place)
+        curve = turned * fit(middle + behind, place)
         steady = _peak(fine, np.abs(curve), 0, POINTS - 1) or steady
         if steady.amplification is not None:
-            behind = np.interp(x, place, _behind(curve, fine, rate, steady))
+            behind = np.interp(x, place, _lag(curve, fine, rate, steady))
     middle = middle + behind
-    left = (middle - scale * fitted(middle, x)) / deviation[near]
+    left = (middle - scale * fit(middle, x)) / deviation[near]
     # Four complex coefficients.
     chi2 = float(np.sum(np.abs(left) ** 2)) / (2 * near.sum() - 8)
     if chi2 > FITS:
@@ -364,12 +364,12 @@ def _one_mode(
     critical = []
     for number, shift in enumerate(shifts):
         noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
-        amplitude = turned * np.abs(fitted(readings[near] - shift + behind + noise, place))
+        amplitude = turned * np.abs(fit(readings[near] - shift + behind + noise, place))
         critical.append(_peak(fine, amplitude, 0, POINTS - 1))
     return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
 
 
-def _behind(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical) -> ComplexArray:
+def _lag(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical) -> ComplexArray:
     """What the amplitude A of a mode that is passed at *rate* [Hz/s] is behind that of a steady rotor, A_s,
     *curve* (n,) at *speed* (n,) [Hz]. z = A exp(j angle) in the equation of motion: A_s - A of D A_s (1 - j a
     / W^2) = (D + j a) A + 2 (j W + zeta w0) dA/dt + d2A/dt2, D = w0^2 - W^2 + 2 j zeta w0 W, a = dW/dt; w0
@@ -389,7 +389,7 @@ def _behind(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical)
     return behind
 
 
-def _passed(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float, float]:
+def _passing_rate(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float, float]:
     """The mean *rate* (n,) [Hz/s] between the half-power speeds, zero where these are not known or passed so
     fast that the peak is not that of a steady rotor; and that quotient, |rate| / (N_2 - N_1)^2.
     """
@@ -400,7 +400,7 @@ def _passed(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float,
     return (float(np.mean(within)) if 0 < quotient <= STEADY else 0.0), quotient
 
 
-def _as_steady(
+def _steady_peak(
     peak: Critical, drawn: list[Critical], rate: float, rng: np.random.Generator
 ) -> tuple[Critical, list[Critical]]:
     """The peak and its draws at speeds of a steady rotor: at *rate* [Hz/s] it stands 2 rate / (pi (N_2 -
@@ -476,8 +476,8 @@ def _sensitivities(
     rng: np.random.Generator,
 ) -> Iterator[Sensitivity]:
     if baseline is not None:
-        smooth = _Smooth(*_by_speed(baseline))
-        others = np.concatenate([smooth.fitted[None], smooth.drawn(rng)])
+        smooth = _Smooth(*_sort_by_speed(baseline))
+        others = np.concatenate([smooth.fitted[None], smooth.draw(rng)])
         common = (fine >= smooth.fine[0]) & (fine <= smooth.fine[-1])
         fine = fine[common]
         curves = curves[:, common] - scipy.interpolate.interp1d(smooth.fine, others, axis=1)(fine)

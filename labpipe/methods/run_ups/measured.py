@@ -43,9 +43,9 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
         hint = f"measure {FEWEST_POINTS} speeds or more on both sides of a peak"
         raise DataError(f"run '{run.name}' has no critical speed within its speeds", hint=hint)
     size = min(POINTS, run.n_speed)
-    chosen, rng = _about(run, top, size), np.random.default_rng(SEED)
+    chosen, rng = _peak_region(run, top, size), np.random.default_rng(SEED)
     wide = _peak(run, number, chosen, run.response)
-    narrow = _peak(run, number, _about(run, top, size - 2), run.response)
+    narrow = _peak(run, number, _peak_region(run, top, size - 2), run.response)
     again = [_peak(run, number, chosen, _noisy(run, rng)) for _ in range(REFITS)]
     of_probes = [
         _peak(run, number, chosen, run.response + change) - wide for change in run.changes().values()
@@ -54,7 +54,7 @@ def measured_critical_speed(run: records.RunUp, plane: str = "") -> Uncertain:
     return Uncertain(wide, float(np.sqrt(variance)))
 
 
-def _about(run: records.RunUp, top: int, size: int) -> slice:
+def _peak_region(run: records.RunUp, top: int, size: int) -> slice:
     first = max(0, min(top - size // 2, run.n_speed - size))
     return slice(first, first + size)
 
@@ -111,11 +111,11 @@ def measured_run(read: ReadRun, plane: str) -> tuple[records.MeasuredRun, str]:
     run, settings = read.run, read.settings
     critical, threshold, reason = None, None, ""
     if run.threshold is not None:
-        threshold = records.Amount(run.threshold.value, run.threshold.std_error)
+        threshold = records.UncertainAmount(run.threshold.value, run.threshold.std_error)
     if run.shaker is None:
         try:
             peak = measured_critical_speed(run, plane)
-            critical = records.Amount(peak.value, peak.std_error)
+            critical = records.UncertainAmount(peak.value, peak.std_error)
         except DataError as error:
             reason = str(error)
     record = records.MeasuredRun(
@@ -198,7 +198,7 @@ def run_up_of(
         phasors.append(track.amplitude[:, columns] @ turn.T)
         deviations.append(np.sqrt(track.variance[:, columns] / 2 @ (turn**2).T))
     response, deviation = np.stack(phasors, axis=1), np.stack(deviations, axis=1)
-    speed, response, deviation = _by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
+    speed, response, deviation = _sort_by_speed(2 * np.pi * np.asarray(track.speed), response, deviation)
     if speed.size < 2:
         hint = "a run-up needs a speed that changes"
         raise DataError(f"recording '{name}' has a constant speed", hint=hint)
@@ -240,7 +240,7 @@ def _probe_errors(track: OrderTrack) -> Iterator[records.ProbeError]:
                 yield records.ProbeError(calibration.uncertainty, matrix, power)
 
 
-def _by_speed(
+def _sort_by_speed(
     speed: FloatArray, response: ComplexArray, deviation: FloatArray
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
     order = np.argsort(speed, kind="stable")
@@ -282,7 +282,7 @@ def difference(
     return replace(net, baseline=baseline or residual)
 
 
-def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
+def interpolate_run(run: records.RunUp, speed: FloatArray) -> records.RunUp:
     """A densely tracked run at those of *speed* (n,) [rad/s] within its own, linearly interpolated; DataError
     for none.
     """
@@ -300,7 +300,7 @@ def at_speeds(run: records.RunUp, speed: FloatArray) -> records.RunUp:
 def added_since(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
     """What a recorded *run* with weights adds to its *residual* run without; DataError as `difference`."""
     weightless = replace(residual, unbalance=dict.fromkeys(run.unbalance, 0j))
-    return difference(run, at_speeds(weightless, run.speed), weightless)
+    return difference(run, interpolate_run(weightless, run.speed), weightless)
 
 
 def _vector_difference(

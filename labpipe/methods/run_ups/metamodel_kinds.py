@@ -58,15 +58,15 @@ class Grid:
     @classmethod
     def of(cls, fits: Iterable[SpeedwiseFit]) -> Grid:
         """From one fit per load."""
-        return cls._joined((fit.load, fit.speed, fit.coefficients) for fit in fits)
+        return cls._join((fit.load, fit.speed, fit.coefficients) for fit in fits)
 
     @classmethod
-    def sampled(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
+    def sample(cls, fit: Queried, loads: Iterable[float], speed: FloatArray) -> Grid:
         """From a fit at any load, at *loads* [N] and *speed* (n_speed,) [rad/s]."""
-        return cls._joined((load, speed, fit.coefficients(load, speed)[0]) for load in loads)
+        return cls._join((load, speed, fit.coefficients(load, speed)[0]) for load in loads)
 
     @classmethod
-    def _joined(cls, parts: Iterable[tuple[float, FloatArray, FloatArray]]) -> Grid:
+    def _join(cls, parts: Iterable[tuple[float, FloatArray, FloatArray]]) -> Grid:
         columns = [(np.full(speed.size, load), speed, eight) for load, speed, eight in parts]
         return cls(*(np.concatenate(column) for column in zip(*columns, strict=True)))
 
@@ -92,7 +92,7 @@ class Extent:
     def of(cls, grid: Grid) -> Extent:
         return cls(*((float(np.min(axis)), float(np.max(axis))) for axis in (grid.load, grid.speed)))
 
-    def coded(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
+    def code(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Coded coordinates (n_point, 2) [-] of loads [N] and speeds [rad/s]."""
         columns = []
         for places, (low, high) in ((load, self.loads), (speed, self.speeds)):
@@ -155,11 +155,11 @@ class ResponseSurface(WithinExtent):
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        return _terms(self.extent.coded(load, speed)) @ self.beta
+        return _terms(self.extent.code(load, speed)) @ self.beta
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point (n_point, 8) [N/m, N s/m]: of the surface and of points about it."""
-        terms = _terms(self.extent.coded(load, speed))
+        terms = _terms(self.extent.code(load, speed))
         leverage = np.einsum("ni,ij,nj->n", terms, self.inverse, terms)
         return np.sqrt(1 + leverage)[:, None] * self.spread
 
@@ -181,7 +181,7 @@ class ResponseSurface(WithinExtent):
 def fit_surface(grid: Grid, seed: int = 0) -> ResponseSurface:  # noqa: ARG001 one signature for all kinds
     """By least squares; FitError for fewer than three loads or three speeds. Equation (run-surface)."""
     extent = Extent.of(grid)
-    terms = _terms(extent.coded(grid.load, grid.speed))
+    terms = _terms(extent.code(grid.load, grid.speed))
     n, m = terms.shape
     if n <= m or np.linalg.matrix_rank(terms, tol=1e-8 * np.sqrt(n)) < m:
         hint = "measure more, or use another metamodel"
@@ -270,11 +270,11 @@ def physical_without(
 ) -> Callable[[float], PhysicalFit]:
     """The joint fit of all *runs* but those of a load [N], a function of it; FitError without another."""
 
-    def refitted(load: float) -> PhysicalFit:
+    def refit(load: float) -> PhysicalFit:
         training = [run for run in runs if abs(run.load / load - 1) > SAME_LOAD]
         if not training:
             raise FitError(NO_OTHER_LOAD)
         speeds = (min(float(run.speed[0]) for run in training), max(float(run.speed[-1]) for run in training))
         return PhysicalFit.of(fit_jointly(rig, training, known=known), speeds)
 
-    return refitted
+    return refit

@@ -74,7 +74,7 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
         processes = scikit_learn("gaussian_process", "a Gaussian process")
         kernels = processes.kernels
         extent = metamodel_kinds.Extent.of(grid)
-        coded, regressors = extent.coded(grid.load, grid.speed), []
+        coded, regressors = extent.code(grid.load, grid.speed), []
         for (a, l_w, l_s, n), eight in zip(hyper, grid.eight.T, strict=True):
             plane = kernels.ConstantKernel(PLANE**2, "fixed") * kernels.DotProduct(1.0, "fixed")
             kernel = (
@@ -103,12 +103,12 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
 
     def predict(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]."""
-        coded = self.extent.coded(load, speed)
+        coded = self.extent.code(load, speed)
         return np.stack([regressor.predict(coded) for regressor in self.regressors], axis=-1)
 
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds [rad/s]."""
-        coded = self.extent.coded(load, speed)
+        coded = self.extent.code(load, speed)
         return np.stack([one.predict(coded, return_std=True)[1] for one in self.regressors], axis=-1)
 
     def to_entries(self) -> dict[str, Any]:
@@ -176,7 +176,7 @@ class Network(metamodel_kinds.WithinExtent):
 
     def repeat_predictions(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_repeat, n_point, 8) [N/m, N s/m] at loads [N] and speeds [rad/s]. Equation (run-network)."""
-        coded = self.extent.coded(load, speed)
+        coded = self.extent.code(load, speed)
         scaled = [
             np.tanh(coded @ first + offset) @ second + last for first, offset, second, last in self.repeats
         ]
@@ -230,7 +230,7 @@ def fit_network(
     extent = metamodel_kinds.Extent.of(grid)
     middle, deviation = grid.eight.mean(axis=0), grid.eight.std(axis=0)
     deviation = np.where(deviation > 0, deviation, 1.0)
-    inputs, outputs = extent.coded(grid.load, grid.speed), (grid.eight - middle) / deviation
+    inputs, outputs = extent.code(grid.load, grid.speed), (grid.eight - middle) / deviation
     trained, converged = [], 0
     for repeat in range(repeats):
         network = networks.MLPRegressor(
@@ -301,7 +301,7 @@ def caution(model: Metamodel, load: float) -> str:
     return beyond and f"{beyond}, an extrapolation: its error {scope}"
 
 
-def _without(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
+def _leave_out(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) -> Metamodel:
     if len(grid.loads) < 2:
         raise FitError(metamodel_kinds.NO_OTHER_LOAD)
     return METAMODELS[kind](grid.at(load, others=True), seed)
@@ -320,7 +320,7 @@ def leave_one_load_out(
     every = (*kinds, *([metamodel_kinds.PhysicalFit.kind] if physical else []))
     rows: dict[str, list[LeftOut]] = {kind: [] for kind in every}
     for load in grid.loads:
-        fits = {kind: partial(_without, grid, load, kind, seed) for kind in kinds}
+        fits = {kind: partial(_leave_out, grid, load, kind, seed) for kind in kinds}
         if physical is not None:
             fits[metamodel_kinds.PhysicalFit.kind] = partial(physical, load)
         is_end, points = load in (grid.loads[0], grid.loads[-1]), grid.at(load)

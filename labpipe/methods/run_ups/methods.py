@@ -90,7 +90,7 @@ def predict(
     speed = _drawn_speeds(run, threshold, critical)
     motion: tuple[records.Motion, ...] = ()
     if curves:
-        outputs = rig.condensed(speed, run.unbalance, run.shaker).response(*solution.at_speed(speed))
+        outputs = rig.condense(speed, run.unbalance, run.shaker).response(*solution.at_speed(speed))
         motion = motions(run.planes, outputs.reshape(speed.size, len(run.planes), 2))
     return records.RunPrediction(
         run.name,
@@ -105,14 +105,14 @@ def predict(
     )
 
 
-def _amount(speed: Uncertain | float | None) -> records.Amount | None:
+def _amount(speed: Uncertain | float | None) -> records.UncertainAmount | None:
     if isinstance(speed, Uncertain):
-        return records.Amount(speed.value, speed.std_error)
-    return None if speed is None else records.Amount(speed)
+        return records.UncertainAmount(speed.value, speed.std_error)
+    return None if speed is None else records.UncertainAmount(speed)
 
 
 def _drawn_speeds(
-    run: records.RunUp, threshold: records.Amount | None, critical: records.Amount | None
+    run: records.RunUp, threshold: records.UncertainAmount | None, critical: records.UncertainAmount | None
 ) -> FloatArray:
     last = float(run.speed[-1]) if threshold is None else min(float(run.speed[-1]), threshold.value)
     first = run.speed[0]
@@ -290,7 +290,7 @@ def solve_amplitudes(rig: RunUpRotor, trained: Sequence[records.RunUp], settings
     method = records.RunUpMethod(
         "amplitudes",
         f"(a) amplitudes, {'pattern search' if settings.search == 'pattern' else 'COBYQA'}",
-        **_of_points(fits),
+        **_point_values(fits),
         convergence=(
             records.Convergence(place, objective, mesh, counts, bool(fit.capped[point]), column(best)),
         ),
@@ -307,7 +307,7 @@ def solve_points(rig: RunUpRotor, trained: Sequence[records.RunUp], settings: Ru
         "standard deviations include this."
     )
     method = records.RunUpMethod(
-        "points", "(b) complex, point by point", **_of_points(fits), remarks=(remark,)
+        "points", "(b) complex, point by point", **_point_values(fits), remarks=(remark,)
     )
     return Solved(method, _points_at(fits), tuple(fits))
 
@@ -329,7 +329,7 @@ def solve_process(
         unknowns=int(fit.values.size),
         rank=fit.n_determined,
         remarks=(f"{fit.statement}.",),
-        **_of_fit(fit),
+        **_fit_values(fit),
     )
     return Solved(method, joint_at(fit), anywhere=fit)
 
@@ -345,14 +345,14 @@ def joint_method(fit: JointFit) -> records.RunUpMethod:
         parameters=tuple(
             _parameter(fit, parameter) for parameter in PARAMETERS if parameter not in fit.known
         ),
-        **_of_fit(fit),
+        **_fit_values(fit),
     )
 
 
 NUMBERS = ("condition", "chi2_per_datum", "chi2_p", "n_datum", "n_effective")
 
 
-def _of_fit(fit: JointFit | ProcessFit) -> dict[str, Any]:
+def _fit_values(fit: JointFit | ProcessFit) -> dict[str, Any]:
     return {
         "verdict": records.REJECTED if fit.rejected else "not rejected",
         "predictions": (),
@@ -364,7 +364,7 @@ def _parameter(fit: JointFit, name: str) -> Parameter:
     factor, bound = fit.parameter(name), bool(fit.at_bound[PARAMETERS.index(name)])
     if bound or fit.rejected:
         return Parameter(name, factor.value, "1", at_bound=bound)
-    ci95 = records.Amount(factor.value, factor.std_error).ci95
+    ci95 = records.UncertainAmount(factor.value, factor.std_error).ci95
     return with_sources_of(fit, Parameter(name, factor.value, "1", ci95=ci95), factor.std_error)
 
 
@@ -431,7 +431,7 @@ def _points_at(fits: PointFits) -> Predictor:
     return at
 
 
-def _of_points(fits: PointFits) -> dict[str, Any]:
+def _point_values(fits: PointFits) -> dict[str, Any]:
     chi2, datum = sum(fit.chi2 for fit in fits), sum(fit.n_datum for fit in fits)
     effective = sum(fit.n_effective for fit in fits)
     n_redundant = datum - effective

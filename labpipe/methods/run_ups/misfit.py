@@ -31,7 +31,7 @@ class ExcitedRun:
 
     @classmethod
     def of(cls, rig: RunUpRotor, run: RunUp) -> ExcitedRun:
-        return cls(run, rig.excited(run))
+        return cls(run, rig.excite(run))
 
     @property
     def n_equation(self) -> int:
@@ -141,10 +141,10 @@ def _group(rig: RunUpRotor, runs: Iterable[RunUp], key: Callable[[RunUp], Hashab
         groups.setdefault(key(run), []).append(run)
     if not groups:
         raise DataError("there is no run-up", hint="give at least one")
-    return [_at_shared_speeds(rig, group) for group in groups.values()]
+    return [_interpolate_to_shared_speeds(rig, group) for group in groups.values()]
 
 
-def _at_shared_speeds(rig: RunUpRotor, group: Sequence[RunUp]) -> LoadRuns:
+def _interpolate_to_shared_speeds(rig: RunUpRotor, group: Sequence[RunUp]) -> LoadRuns:
     """Speeds are the same when they agree to a millionth."""
     load, shared = group[0].load, group[0].speed
     for run in group[1:]:
@@ -153,10 +153,10 @@ def _at_shared_speeds(rig: RunUpRotor, group: Sequence[RunUp]) -> LoadRuns:
         names = ", ".join(run.name for run in group)
         what = f"the runs {names} under {load:.4g} N share no speed"
         raise DataError(what, hint="measure them at the same speeds")
-    return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _at_speeds(run, shared)) for run in group))
+    return LoadRuns(load, shared, tuple(ExcitedRun.of(rig, _select_speeds(run, shared)) for run in group))
 
 
-def _at_speeds(run: RunUp, speed: FloatArray) -> RunUp:
+def _select_speeds(run: RunUp, speed: FloatArray) -> RunUp:
     chosen = np.array([int(np.argmin(np.abs(run.speed - target))) for target in speed])
     return replace(
         run,
@@ -281,6 +281,6 @@ def _response(
     """Under an unbalance or, without one, a force along x at the first plane."""
     force = None if unbalance else shaker or Shaker(rig.plane_names[0], 1.0, 0.0)
     split = eight.reshape(1, 2, 2, 2)
-    condensed = rig.condensed(speed, unbalance or {}, force)
+    condensed = rig.condense(speed, unbalance or {}, force)
     response, slopes = condensed.response_and_slopes(split[:, 0], split[:, 1])
     return response[0], slopes[0]

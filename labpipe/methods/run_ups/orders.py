@@ -17,7 +17,7 @@ from labpipe.artefacts.writing import OutputFolder, output_file, output_folder
 from labpipe.cli.output import echo
 from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.judgement import Estimate, Judgement, judge
+from labpipe.methods.run_ups.judgement import IntervalEstimate, RunUpJudgement, judge
 from labpipe.methods.run_ups.measured import added_since, run_up_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
@@ -163,7 +163,7 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Pan
     )
 
 
-def judged_figure(name: str, verdict: Judgement, quantity: str) -> Figure:
+def judged_figure(name: str, verdict: RunUpJudgement, quantity: str) -> Figure:
     """Amplitudes without the slow roll over speed, critical speeds with intervals, operating speeds."""
     unit, factor = _unit(quantity)
     series: list[chart.Series] = []
@@ -255,7 +255,7 @@ def track_run(
     return run
 
 
-def write_tracked(run: TrackedRun, verdict: Judgement | None, output: OutputFolder) -> list[str]:
+def write_tracked(run: TrackedRun, verdict: RunUpJudgement | None, output: OutputFolder) -> list[str]:
     _write_table(run, output.write_path("orders.csv"))
     figures = {"orders.svg": order_figure(run.name, run.track, run.circles, run.quantity)}
     stems = file_stems((plane.name for plane in run.track.planes), "planes")
@@ -353,7 +353,7 @@ def _orbit_columns(circles: OrderTrack, clearance: Clearance | None) -> list[Col
     }
     if clearance is not None:
         columns["orbit_per_gap"] = whole / clearance.gap
-    return [(plane.labelled(name), values) for name, values in columns.items()]
+    return [(plane.label(name), values) for name, values in columns.items()]
 
 
 def track_and_write(
@@ -477,7 +477,7 @@ def _centreline(run: TrackedRun) -> Iterator[str]:
         )
 
 
-def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
+def judgement_lines(verdict: RunUpJudgement, quantity: str) -> Iterator[str]:
     """Slow roll, critical speeds with their margins and decisions, sensitivities."""
     unit, factor = _unit(quantity)
     if verdict.slow_roll is not None:
@@ -503,12 +503,12 @@ def judgement_lines(verdict: Judgement, quantity: str) -> Iterator[str]:
         yield f"{row.probe:<8} sensitivity {size} {unit}/(g mm) at {60 * row.speed:.0f} rpm"
 
 
-def _ends(estimate: Estimate, factor: float = 1.0) -> str:
+def _ends(estimate: IntervalEstimate, factor: float = 1.0) -> str:
     value, low, high = (factor * x for x in (estimate.value, estimate.low, estimate.high))
     return f"{value:.4g} ({low:.4g} to {high:.4g})"
 
 
-def judgement_entry(verdict: Judgement, quantity: str) -> dict[str, Any]:
+def judgement_entry(verdict: RunUpJudgement, quantity: str) -> dict[str, Any]:
     """As `judgement.json` has it: SI units, speeds in Hz, intervals of 95 %."""
     slow_roll = None
     if verdict.slow_roll is not None:

@@ -80,7 +80,7 @@ class SmoothField:
         """b (n_point, n_mode) [-] at places (n_point, 2) [N, rad/s]. Equation (run-field-basis)."""
         return self.kernel.covariance(places, self.places) @ self.weights
 
-    def unexplained(self, places: FloatArray) -> FloatArray:
+    def residual_covariance(self, places: FloatArray) -> FloatArray:
         """Covariance (n_point, n_point) [-] beyond the basis, at places (n_point, 2) [N, rad/s]."""
         basis = self.basis(places)
         return self.kernel.covariance(places, places) - basis @ basis.T
@@ -149,13 +149,13 @@ class ProcessFit(RunUpFit[ProcessFamily]):
             f"{self.n_determined} combinations better than these assumptions do"
         )
 
-    def unexplained(self, load: float, speed: FloatArray) -> FloatArray:
+    def field_covariance(self, load: float, speed: FloatArray) -> FloatArray:
         """Covariance (n_speed, n_speed) [-] of the factors' logarithms beyond those of the parameters."""
-        return self.model.field.unexplained(places_of(load, speed))
+        return self.model.field.residual_covariance(places_of(load, speed))
 
     def caution(self, load: float) -> str:
         """Warning on a *load* [N] beyond those of the fit, or empty."""
-        outside = self.extrapolated(load)
+        outside = self.extrapolation_warning(load)
         return outside and (
             f"{outside}the smooth factors are extrapolated, and the interval assumes their correlation over "
             f"{self.kernel.load:.2g} N"

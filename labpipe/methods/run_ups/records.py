@@ -148,7 +148,7 @@ Column = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Amount:
+class UncertainAmount:
     """A value with its standard error, None where none can be given; SI units."""
 
     value: float
@@ -196,8 +196,8 @@ class MeasuredRun:
     excitation: str
     speed: Column
     motions: tuple[Motion, ...]
-    critical_speed: Amount | None = None
-    threshold: Amount | None = None
+    critical_speed: UncertainAmount | None = None
+    threshold: UncertainAmount | None = None
     subtracted: str = ""
     printed_critical_speed: Column = ()
     printed_threshold: Column = ()
@@ -212,8 +212,8 @@ class RunPrediction:
     """
 
     run: str
-    critical_speed: Amount | None
-    threshold: Amount | None
+    critical_speed: UncertainAmount | None
+    threshold: UncertainAmount | None
     _: KW_ONLY
     speed: Column = ()
     motions: tuple[Motion, ...] = ()

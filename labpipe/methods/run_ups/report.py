@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.display import chance_text, with_error, written
+from labpipe.display import chance_text, with_error, write_values
 from labpipe.methods.run_ups import figures, records
 from labpipe.methods.run_ups.rotor import COEFFICIENTS
 from labpipe.records.identification import Identification
@@ -34,7 +34,7 @@ ADVICE_WORDS = (
 MOST_SPEEDS = 7
 
 
-def rpm_text(amount: records.Amount | None) -> str:
+def rpm_text(amount: records.UncertainAmount | None) -> str:
     if amount is None or not math.isfinite(amount.value):
         return "none"
     if amount.std_error is None:
@@ -70,7 +70,7 @@ def _speed_table(
     header = ("run", "measured", *(_heading(column) for column in columns))
     rows = []
     for run in _runs_with(result, item):
-        measured: records.Amount | None = getattr(run, item)
+        measured: records.UncertainAmount | None = getattr(run, item)
         cells = (_speed_text(column.prediction(run.name), item, measured) for column in columns)
         text = "none" if measured is None else f"{rpm_text(measured)} rpm".replace("± ", f"±{FIXED}")
         rows.append((_run_name(run), text, *cells))
@@ -100,8 +100,10 @@ def _run_name(run: records.MeasuredRun) -> str:
     return f"{run.name}, {run.load:.4g} N{'' if said else f', {run.role}'}".replace(" N", f"{FIXED}N")
 
 
-def _speed_text(prediction: records.RunPrediction | None, item: str, measured: records.Amount | None) -> str:
-    amount: records.Amount | None = None if prediction is None else getattr(prediction, item)
+def _speed_text(
+    prediction: records.RunPrediction | None, item: str, measured: records.UncertainAmount | None
+) -> str:
+    amount: records.UncertainAmount | None = None if prediction is None else getattr(prediction, item)
     if amount is None:
         return "none"
     text = rpm_text(amount)
@@ -112,7 +114,7 @@ def _speed_text(prediction: records.RunPrediction | None, item: str, measured: r
     return f"{value}: {relative.replace(' ', FIXED)} ({rule.replace(' ', FIXED)}"
 
 
-def _mark(amount: records.Amount, measured: records.Amount) -> str:
+def _mark(amount: records.UncertainAmount, measured: records.UncertainAmount) -> str:
     if amount.std_error is None or measured.std_error is None:
         return ""
     error = math.hypot(amount.std_error, measured.std_error)
@@ -195,7 +197,7 @@ def parameter_table(method: records.RunUpMethod) -> Table:
     rows = []
     for parameter in method.parameters:
         kind = "exponent" if parameter.name.startswith("viscosity_") else "factor"
-        value, error, *ends = written(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
+        value, error, *ends = write_values(parameter.value, parameter.full_error, *(parameter.ci95 or ()))
         interval = " to ".join(ends) or ("at bound" if parameter.at_bound else "none")
         rows.append((parameter.name, kind, value, error or "none", interval))
     what = "posterior values with their standard deviations, as factors on the rotor file's bearing"

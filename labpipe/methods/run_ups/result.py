@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from labpipe.errors import located
+from labpipe.errors import locate_errors
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.joint import REJECTED as LEAST_PROBABILITY, JointFit
@@ -82,11 +82,11 @@ def _grid(method: Solved, trained: Sequence[records.RunUp]) -> Grid:
     if method.anywhere is None:
         return Grid.of(method.fits)
     speed = max((run.speed for run in trained), key=len)
-    return Grid.sampled(method.anywhere, dict.fromkeys(run.load for run in trained), speed)
+    return Grid.sample(method.anywhere, dict.fromkeys(run.load for run in trained), speed)
 
 
 def _fit(name: str, grid: Grid, joint: object, seed: int) -> Metamodel:
-    with located(f"run_ups, metamodel {name}"):
+    with locate_errors(f"run_ups, metamodel {name}"):
         if name == "physical":
             assert isinstance(joint, JointFit)
             return PhysicalFit.of(joint, Extent.of(grid).speeds)
@@ -150,7 +150,7 @@ def run_up_result(
 
 
 def _solve(name: str, rig: RunUpRotor, trained: Sequence[records.RunUp], settings: RunUpSettings) -> Solved:
-    with located(f"run_ups, method {name}"):
+    with locate_errors(f"run_ups, method {name}"):
         return METHODS[name](rig, trained, settings)
 
 
@@ -243,7 +243,7 @@ def _speeds(
     fit: str, run: str, owner: records.MeasuredRun | records.RunPrediction, codes: tuple[str, ...]
 ) -> Iterator[ListedParameter]:
     for name in ("critical_speed", "threshold"):
-        speed: records.Amount | None = getattr(owner, name)
+        speed: records.UncertainAmount | None = getattr(owner, name)
         if speed is not None:
             parameter = Parameter(
                 name, speed.value, "rad/s", std_error=speed.std_error, ci95=speed.ci95, derived=True

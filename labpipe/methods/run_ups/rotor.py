@@ -270,7 +270,7 @@ class RunUpRotor:
         hint = "name it under planes:"
         raise ConfigError(f"there is no plane at node {node}, where an unbalance sits", hint=hint)
 
-    def condensed(
+    def condense(
         self, speed: FloatArray, unbalance: Mapping[str, complex], shaker: Shaker | None = None
     ) -> CondensedRotor:
         """x, y of every plane at *speed* (n_speed,) [rad/s] under an *unbalance* [kg m] or a *shaker*."""
@@ -284,7 +284,7 @@ class RunUpRotor:
         frequency = speed * shaker.frequency_ratio
         return condensed_rotor(self.pinned, self.place.node, frequency, forces, nodes, speed)
 
-    def excited(self, run: RunUp) -> CondensedRotor:
+    def excite(self, run: RunUp) -> CondensedRotor:
         """Condensed at the speeds and under the excitation of a run; DataError for other planes, or none."""
         if run.planes != self.plane_names:
             own, measured = ", ".join(self.plane_names), ", ".join(run.planes)
@@ -295,7 +295,7 @@ class RunUpRotor:
         if not any(acting):
             what = f"run '{run.name}' was excited by nothing: its unbalance or force is zero"
             raise DataError(what, hint="state what was added, or subtract the run")
-        return self.condensed(run.speed, run.unbalance, run.shaker)
+        return self.condense(run.speed, run.unbalance, run.shaker)
 
     def start_coefficients(self, load: float, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
@@ -317,7 +317,7 @@ class RunUpRotor:
 
     def response(self, speed: FloatArray, coefficients: CoefficientsAtSpeed) -> ComplexArray:
         """Phasors (n_speed, n_plane, 2) [m] under the known unbalance."""
-        outputs = self.condensed(speed, self.known_unbalance).response(*coefficients(speed))
+        outputs = self.condense(speed, self.known_unbalance).response(*coefficients(speed))
         return outputs.reshape(np.size(speed), len(self.planes), 2)
 
     def critical_speed(self, coefficients: CoefficientsAtSpeed, plane: str = "") -> float:

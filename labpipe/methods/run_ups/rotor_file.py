@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, DataError, LabpipeError, SettingError
 from labpipe.methods.rotor.rig import Unbalance
-from labpipe.methods.rotor.rotor_file import read_parts, tried
+from labpipe.methods.rotor.rotor_file import read_parts, try_making
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
 from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.project.marked_yaml import Marked, load_marked
@@ -95,7 +95,7 @@ def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Pa
     unbalances = tuple(Unbalance(part.node, part.size, part.phase) for _, part in lists["unbalances"])
     rest: dict[str, Any] = {"pins": pins, "planes": planes, "unbalances": unbalances}
     rest |= {"tabulated": tabulated, "speeds": speeds}
-    return tried(lambda: RunUpRotor(settings.name or stem, rotor, place=place, **rest), tree, "", faults)
+    return try_making(lambda: RunUpRotor(settings.name or stem, rotor, place=place, **rest), tree, "", faults)
 
 
 def read_coefficients(named: str, folder: Path, node: Marked, faults: Faults) -> Metamodel | None:

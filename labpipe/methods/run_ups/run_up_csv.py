@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.table import check_columns
@@ -59,7 +59,7 @@ def read_run_up_csv(
     phase_error = read.errors("phase error", np.ones_like(phase), "rad")
     if load is None or "load" in read.head:
         load = read.value("load", "N")
-    with located(path):
+    with locate_errors(path):
         shaker, unbalances = read.shaker(), read.unbalances()
         if not unbalances and shaker is None and unbalance is not None:
             unbalances = dict(unbalance) or {read.planes[0]: 0j}

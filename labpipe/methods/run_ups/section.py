@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import DataError, located
+from labpipe.errors import DataError, locate_errors
 from labpipe.methods.run_ups import records
 from labpipe.methods.run_ups.measured import ReadRun, added_since, column, difference, run_up_of
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
@@ -46,13 +46,13 @@ def read_run(
     probes: ProbeUncertainties = NO_UNCERTAINTIES,
 ) -> ReadRun:
     """The run of a pipeline's entry, less its residual run; LabpipeError names it. *probes*: of tables."""
-    with located(f"run_ups, run '{settings.name}'"):
-        read = run_as_measured(settings, output, folder, probes)
-        rig.excited(read.run)
+    with locate_errors(f"run_ups, run '{settings.name}'"):
+        read = read_measured_run(settings, output, folder, probes)
+        rig.excite(read.run)
         return read
 
 
-def run_as_measured(
+def read_measured_run(
     settings: RunSettings, output: OutputFolder, folder: Path, probes: ProbeUncertainties = NO_UNCERTAINTIES
 ) -> ReadRun:
     """The run of an entry, on whatever rotor."""
@@ -186,14 +186,14 @@ def run_up_outcome(rule: Rule, result: records.RunUpResult, compare_number: Comp
         selected = [(run, amount) for run, amount in candidates if amount is not None] or candidates[:1]
         outcomes = [_attribute(rule, address, run, amount, compare_number) for run, amount in selected]
         return rule.outcome_of_all(outcomes)
-    outcome = _of_method(rule, address, result, compare_number)
+    outcome = _judge_method(rule, address, result, compare_number)
     if address.run or address.attribute:
         what = f"'{address.item}' is that of all runs, by itself"
         raise rule.fault(what, f"write run_ups.{address.method}.{address.item}")
     return outcome
 
 
-def _of_method(
+def _judge_method(
     rule: Rule, address: _Address, result: records.RunUpResult, compare_number: CompareNumber
 ) -> RuleOutcome:
     predictor = _predictor(rule, address, result)
@@ -223,7 +223,7 @@ def _predictor(rule: Rule, address: _Address, result: records.RunUpResult) -> re
 
 def _amount(
     rule: Rule, address: _Address, result: records.RunUpResult, run: records.MeasuredRun
-) -> records.Amount | None:
+) -> records.UncertainAmount | None:
     if address.method == MEASURED:
         return getattr(run, address.item)
     return getattr(_predictor(rule, address, result).prediction(run.name), address.item, None)
@@ -233,17 +233,17 @@ def _attribute(
     rule: Rule,
     address: _Address,
     run: records.MeasuredRun,
-    amount: records.Amount | None,
+    amount: records.UncertainAmount | None,
     compare_number: CompareNumber,
 ) -> Compared:
     if address.attribute == "difference":
-        measured: records.Amount | None = getattr(run, address.item)
+        measured: records.UncertainAmount | None = getattr(run, address.item)
         there = None if amount is None or measured is None else abs(amount.value / measured.value - 1)
         return compare_number(rule, there, "1")
     value = error = interval = None
     if amount is not None:
         error = None if amount.std_error is None else HZ * amount.std_error
-        value, interval = HZ * amount.value, records.Amount(HZ * amount.value, error).ci95
+        value, interval = HZ * amount.value, records.UncertainAmount(HZ * amount.value, error).ci95
     if address.attribute == "covers":
         return compare_covers(rule, interval, "Hz")
     if address.attribute == "std_error":

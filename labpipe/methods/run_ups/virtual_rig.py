@@ -190,7 +190,7 @@ def _run(virtual: VirtualUnbalanceRig, name: str, rng: np.random.Generator) -> R
         raise ConfigError(f"the rotor is unstable at every speed of run '{name}'", hint="lower the speeds")
     shape = (speed.size, len(rig.planes), 2)
     excitation = _excitation(virtual, name)
-    exact = rig.condensed(speed, *excitation).response(*coefficients(speed)).reshape(shape)
+    exact = rig.condense(speed, *excitation).response(*coefficients(speed)).reshape(shape)
     noise = virtual.noise
     noisy = exact * (1 + noise.amplitude * rng.standard_normal(shape))
     noisy = noisy * np.exp(1j * noise.phase * rng.standard_normal(shape))

@@ -17,11 +17,11 @@ from labpipe.estimation.derived import drawn_densely, reported_fit
 from labpipe.estimation.measured import changes_by
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.statistics import Estimate, determination, estimated, inflation_factors, student_limit
+from labpipe.estimation.statistics import Estimate, appraise, determination, inflation_factors, student_limit
 from labpipe.estimation.weights import weight_uncertainty
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.wear import search
-from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
+from labpipe.methods.wear.model import MISFITS, WornMisfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import ANGLE, DEPTH, UNITS, WearSettings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import Finding, Parameter
@@ -38,7 +38,7 @@ SAME_SPEED = 0.01
 PROBABLY_HEALTHY, PROBABLY_WORN = 0.5, 0.05
 
 
-def bounds_reached(misfit: Misfit, best: search.Minimum) -> tuple[str, ...]:
+def reached_bounds(misfit: WornMisfit, best: search.WearMinimum) -> tuple[str, ...]:
     model = misfit.model
     margin = AT_BOUND * (model.high - model.low)
     at = (best.parameters <= model.low + margin) | (best.parameters >= model.high - margin)
@@ -53,7 +53,7 @@ def bound_finding(name: str) -> Finding:
     return Finding("at-bound", f"{name} lies at its bound: {reason}. No standard error is given for it")
 
 
-def rival_findings(minima: Sequence[search.Minimum], misfit: Misfit) -> list[Finding]:
+def rival_findings(minima: Sequence[search.WearMinimum], misfit: WornMisfit) -> list[Finding]:
     best = minima[0]
     rivals = [minimum for minimum in minima[1:] if minimum.converged and minimum.chi2 - best.chi2 < RIVAL]
     if not rivals or DEPTH not in misfit.model.names:
@@ -68,7 +68,7 @@ def rival_findings(minima: Sequence[search.Minimum], misfit: Misfit) -> list[Fin
     return [Finding("multi-modal", message)]
 
 
-def _place(misfit: Misfit, minimum: search.Minimum) -> str:
+def _place(misfit: WornMisfit, minimum: search.WearMinimum) -> str:
     values = misfit.model.values(minimum.parameters)
     return f"{values[DEPTH] * 1e6:.3g} um at {np.degrees(values[ANGLE]):.3g} deg"
 
@@ -90,7 +90,7 @@ def healthy_findings(probability: float, mismatch: bool) -> list[Finding]:
     return [Finding("perhaps-healthy", f"the bearing may be healthy: {odds}{given}")]
 
 
-def search_note(minima: Sequence[search.Minimum], settings: WearSettings, mesh: FilmMesh) -> str:
+def search_note(minima: Sequence[search.WearMinimum], settings: WearSettings, mesh: FilmMesh) -> str:
     total = sum(minimum.starts for minimum in minima)
     return (
         f"{minima[0].starts} of {total} starts lead to this minimum, {len(minima)} minima in all; refined on "
@@ -116,8 +116,8 @@ NAMES = {"complex": "ml", "log": "log-amplitude"}
 
 @dataclass(frozen=True)
 class _Solved:
-    misfit: Misfit
-    minima: tuple[search.Minimum, ...]
+    misfit: WornMisfit
+    minima: tuple[search.WearMinimum, ...]
     noise_covariance: FloatArray
     film_covariance: FloatArray
     healthy_chi2: float | None = None
@@ -127,7 +127,7 @@ class _Solved:
         return self.noise_covariance + self.film_covariance
 
     @property
-    def best(self) -> search.Minimum:
+    def best(self) -> search.WearMinimum:
         return self.minima[0]
 
     @property
@@ -165,7 +165,7 @@ def worn_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     mismatch = estimate.gof.chi2_p is not None and estimate.gof.chi2_p < diagnostics.MISMATCH_P
     if solved.misfit.n_prior and not mismatch:
         fit = replace(fit, findings=(*fit.findings, *_prior_findings(solved, sources, wear)))
-    fit, of_prior = _without_prior(fit, solved, wear)
+    fit, of_prior = _fit_without_prior(fit, solved, wear)
     return with_sources(fit, [*of_prior, *sources])
 
 
@@ -199,7 +199,7 @@ def _prior_findings(solved: _Solved, sources: Sequence[Source], wear: WearSettin
     return [Finding("stated-value", message)]
 
 
-def _without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, list[Source]]:
+def _fit_without_prior(fit: Fit, solved: _Solved, wear: WearSettings) -> tuple[Fit, list[Source]]:
     """The fit with the errors that its lines leave, and those of the fit that `prior` names as sources, which
     all fits with it have in common: C R^T of the prior's rows R.
     """
@@ -250,20 +250,20 @@ def _sources(solved: _Solved, measured: WornReceptance, wear: WearSettings, n_pa
     def residual(of: WornReceptance, terms: ComplexArray) -> FloatArray:
         return MISFITS[objective](misfit.model, of).compared(terms, of_parameters)[0] / misfit.size
 
-    def changed(residual: FloatArray) -> FloatArray:
+    def change_by(residual: FloatArray) -> FloatArray:
         return np.concatenate([-misfit.model.scale * (step @ residual), beside])
 
     def values(change: ComplexArray) -> FloatArray:
         moved = replace(measured.measured, matrix=measured.measured.matrix + change)
-        return changed(residual(replace(measured, measured=moved), modelled))
+        return change_by(residual(replace(measured, measured=moved), modelled))
 
     def by_bearings(source: str) -> FloatArray:
         change = np.zeros(step.shape[1])
         for pair in misfit.model.rig.ends(source):
             for rig, half in zip(pair, (0.5, -0.5), strict=True):
-                model = worn_model(replace(wear, rig=rig), measured.frequency).refined(best, False)
+                model = worn_model(replace(wear, rig=rig), measured.frequency).refine(best, False)
                 change += half * residual(measured, measured.terms(model.response(best)[0]))
-        return changed(change)
+        return change_by(change)
 
     return [
         *changes_by(measured.errors, values),
@@ -283,7 +283,7 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
         residual = refined_misfit.residual(ranked[0].parameters)[: -refined_misfit.n_prior or None]
         n_free = len(refined_misfit.model.names) - refined_misfit.n_prior
         ratio = max(float(np.sqrt(residual @ residual / (residual.size - n_free))), 1e-12)
-        misfit = misfit.sized(misfit.size * ratio)
+        misfit = misfit.resize(misfit.size * ratio)
         if not misfit.n_prior:
             candidates = [replace(minimum, chi2=minimum.chi2 / ratio**2) for minimum in candidates]
             break
@@ -300,7 +300,9 @@ def _solve(measured: WornReceptance, wear: WearSettings) -> _Solved:
     return _Solved(misfit, tuple(ranked), covariance, by_films, healthy_chi2)
 
 
-def _rank(misfit: Misfit, candidates: list[search.Minimum]) -> tuple[Misfit, list[search.Minimum]]:
+def _rank(
+    misfit: WornMisfit, candidates: list[search.WearMinimum]
+) -> tuple[WornMisfit, list[search.WearMinimum]]:
     near = [
         candidate
         for candidate in candidates[:MOST_RIVALS]
@@ -335,7 +337,7 @@ def _estimate(solved: _Solved) -> Estimate:
 
 def _report(solved: _Solved, estimate: Estimate) -> tuple[tuple[Parameter, ...], list[Finding]]:
     misfit, best = solved.misfit, solved.best
-    at = bounds_reached(misfit, best)
+    at = reached_bounds(misfit, best)
     intervals = _intervals(solved)
     identifiable = not (ANGLE in intervals and intervals[ANGLE].open_low and intervals[ANGLE].open_high)
     inflation = inflation_factors(estimate.scaled_design).tolist()
@@ -378,14 +380,14 @@ def _parameter(
     value = scale * float(solved.best.parameters[number])
     error = scale * float(np.sqrt(solved.covariance[number, number]))
     at_bound, open_angle = (
-        name in bounds_reached(solved.misfit, solved.best),
+        name in reached_bounds(solved.misfit, solved.best),
         name == ANGLE and not identifiable,
     )
     ends = None if interval is None else (scale * interval.low, scale * interval.high)
     if at_bound or open_angle:
         ends = None if open_angle else ends
         return Parameter(name, value, UNITS[name], vif=vif, ci95=ends, at_bound=at_bound)
-    parameter = estimated(name, UNITS[name], value, error, solved.dof, vif)
+    parameter = appraise(name, UNITS[name], value, error, solved.dof, vif)
     return parameter if ends is None else replace(parameter, ci95=ends)
 
 
@@ -403,7 +405,7 @@ def _estimate_findings(solved: _Solved, estimate: Estimate, biased: str) -> list
 def _sensitive_parameters(solved: _Solved) -> tuple[int, ...]:
     misfit, best = solved.misfit, solved.best
     lengths = np.linalg.norm(misfit.jacobian(best.parameters), axis=0)
-    at = bounds_reached(misfit, best)
+    at = reached_bounds(misfit, best)
     return tuple(
         n for n, name in enumerate(misfit.model.names) if lengths[n] > LEAST_SENSITIVITY and name not in at
     )
@@ -430,7 +432,7 @@ def _curve(measured: WornReceptance, solved: _Solved) -> FittedCurve:
     before = None
     if DEPTH not in model.names:
         mean = np.array(model.prior.mean) / model.scale
-        before = model.refined(mean, with_slopes=False).response(mean)[0]
+        before = model.refine(mean, with_slopes=False).response(mean)[0]
 
     def at(frequency: FloatArray) -> ComplexArray:
         return replace(model, frequency=tuple(frequency.tolist())).response(parameters)[0]

@@ -14,7 +14,7 @@ from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.estimation.model import labels
 from labpipe.estimation.settings import FitSettings
-from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whitened
+from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whiten_values
 from labpipe.methods.journal_bearing.curve import TableRange
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
@@ -60,11 +60,11 @@ class WornModel:
         """
         return FilmMesh(4 * self.mesh.around, 2 * self.mesh.across)
 
-    def refined(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
+    def refine(self, parameters: FloatArray, with_slopes: bool = True) -> WornModel:
         """The model with the films' own coefficients, and slopes, at scaled parameters (n,) [1]."""
         values, mesh = self.values(parameters), self.film_mesh
         return replace(
-            self, bearings=tuple(bearing.refined(values, mesh, with_slopes) for bearing in self.bearings)
+            self, bearings=tuple(bearing.refine(values, mesh, with_slopes) for bearing in self.bearings)
         )
 
     def with_mesh_error(self, parameters: FloatArray) -> tuple[WornModel, ...]:
@@ -74,7 +74,7 @@ class WornModel:
         for number, bearing in enumerate(self.bearings):
             if bearing.place.is_film:
                 bearings = list(self.bearings)
-                bearings[number] = bearing.shifted(bearing.mesh_error(values, self.film_mesh))
+                bearings[number] = bearing.shift(bearing.mesh_error(values, self.film_mesh))
                 models.append(replace(self, bearings=tuple(bearings)))
         return tuple(models)
 
@@ -232,11 +232,11 @@ def worn_receptance(response: FrequencyResponse, settings: FitSettings, wear: We
         covariance = without_rounding(turn @ covariance @ turn.conj().T)
     turned = replace(measured, matrix=left @ measured.matrix @ right, covariance=covariance, errors=())
     errors = [replace(error, change=left @ error.change @ right) for error in matrix_errors(measured)]
-    errors += _of_directions(response, wear.response, measured.matrix)
+    errors += _direction_errors(response, wear.response, measured.matrix)
     return WornReceptance(turned, PLACES[wear.terms], NAMES[wear.response], lines, tuple(errors))
 
 
-def _of_directions(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
+def _direction_errors(response: FrequencyResponse, frame: str, matrix: ComplexArray) -> list[MatrixError]:
     errors = []
     for side in ("outputs", "inputs"):
         ports = getattr(response, side)
@@ -263,10 +263,10 @@ def _turn(response: FrequencyResponse, frame: str) -> tuple[ComplexArray, Comple
         raise ConfigError(what, hint="excite in y, then in z")
     # (responses) = P (y, z): P of the sensors' directions, or A^-1 of forward and backward.
     directional = _is_directional(response.outputs)
-    sensing = np.linalg.inv(FROM_DIRECTIONAL) if directional else _in_yz(response.outputs, "responses")
+    sensing = np.linalg.inv(FROM_DIRECTIONAL) if directional else _rows_in_yz(response.outputs, "responses")
     left = np.linalg.inv(sensing)
     right = np.linalg.inv(
-        FROM_DIRECTIONAL if _is_directional(response.inputs) else _in_yz(response.inputs, "forces").T
+        FROM_DIRECTIONAL if _is_directional(response.inputs) else _rows_in_yz(response.inputs, "forces").T
     )
     if frame == "dFRF":
         return np.linalg.inv(FROM_DIRECTIONAL) @ left, right @ FROM_DIRECTIONAL
@@ -277,7 +277,7 @@ def _is_directional(ports: tuple[Port, ...]) -> bool:
     return tuple(port.label for port in ports) == FORWARD_BACKWARD
 
 
-def _in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
+def _rows_in_yz(ports: tuple[Port, ...], role: str) -> ComplexArray:
     """Rows (along y, along z) of dofs y and z, else by angle, from horizontal (0) to up (90 deg)."""
     dofs = tuple(port.dof for port in ports)
     if set(dofs) == {"y", "z"}:
@@ -316,7 +316,7 @@ Compared = Callable[[ComplexArray, ComplexArray], tuple[FloatArray, FloatArray]]
 
 
 @dataclass
-class Misfit:
+class WornMisfit:
     """Residual (n_equation,) [1] and its Jacobian at scaled parameters, the prior's rows last: what
     `compared` gives over its standard deviation *size*, which is 1 where the noise of the FRF is known.
     """
@@ -348,7 +348,7 @@ class Misfit:
     def n_prior(self) -> int:
         return len(self.model.prior.names)
 
-    def sized(self, size: float) -> Misfit:
+    def resize(self, size: float) -> WornMisfit:
         """The misfit in units of another standard deviation."""
         return replace(self, size=size, _last=None)
 
@@ -376,7 +376,7 @@ def _prior_rows(model: WornModel) -> tuple[FloatArray, FloatArray]:
     return rows, root @ np.array(prior.mean)
 
 
-def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
+def complex_misfit(model: WornModel, measured: WornReceptance) -> WornMisfit:
     """e^H C^-1 e over the lines, e the complex residual of all terms and C its covariance (equal weights
     where no noise is known), scaled back by what few averages inflate it. Equation (wear-complex).
     """
@@ -389,27 +389,27 @@ def complex_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
         size = float(np.sqrt(uncertainty.inflation))
         excess = uncertainty.excess / uncertainty.inflation
 
-    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        return whitened(weights, response - chosen.matrix), whitened(weights, slopes).T
+    def compare(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        return whiten_values(weights, response - chosen.matrix), whiten_values(weights, slopes).T
 
-    return Misfit(model, measured, compared=compared, weighted=weighted, size=size, excess=excess)
+    return WornMisfit(model, measured, compared=compare, weighted=weighted, size=size, excess=excess)
 
 
-def log_misfit(model: WornModel, measured: WornReceptance) -> Misfit:
+def log_misfit(model: WornModel, measured: WornReceptance) -> WornMisfit:
     """log10(|H_model| / |H_measured|) of every line and term (Mendes et al. 2017). Equation (wear-log)."""
     matrix = measured.chosen.matrix
     if silent := measured.frequency[np.any(matrix == 0, axis=(1, 2))].tolist():
         what = f"a term at {silent[0]:g} Hz is zero, which has no logarithm"
         raise FitError(what, hint="choose other `lines` or `terms`, or `objective: complex`")
 
-    def compared(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    def compare(response: ComplexArray, slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         residual = np.log10(np.abs(response) / np.abs(matrix)).reshape(-1)
         return residual, ((slopes / response).real / np.log(10)).reshape(slopes.shape[0], -1).T
 
-    return Misfit(model, measured, compared=compared, weighted=False)
+    return WornMisfit(model, measured, compared=compare, weighted=False)
 
 
-MISFITS: dict[str, Callable[[WornModel, WornReceptance], Misfit]] = {
+MISFITS: dict[str, Callable[[WornModel, WornReceptance], WornMisfit]] = {
     "complex": complex_misfit,
     "log": log_misfit,
 }

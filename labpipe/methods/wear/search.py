@@ -14,7 +14,7 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.distributions import chi2_quantile
 from labpipe.errors import FitError
-from labpipe.methods.wear.model import Misfit
+from labpipe.methods.wear.model import WornMisfit
 from labpipe.methods.wear.settings import ANGLE, DEPTH, WearSettings
 
 # Least depth of a start [m]: at zero depth the response does not depend on depth (to first order) or angle.
@@ -33,7 +33,7 @@ NEAR, LATEST, FAR, SLOPE_ROUNDS = 3.0, 2, 1.0, 3
 
 
 @dataclass(frozen=True)
-class Minimum:
+class WearMinimum:
     """Scaled parameters (n,) [1] at a minimum, its chi-square, and the number of starts that lead to it."""
 
     parameters: FloatArray
@@ -43,7 +43,7 @@ class Minimum:
     evaluations: int
 
 
-def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
+def start_mesh(settings: WearSettings, misfit: WornMisfit) -> list[FloatArray]:
     """Every start (n,), scaled [1]: depths by angles, unless wear is known, the rest at its mean."""
     model = misfit.model
     mean = np.array(model.prior.mean) / model.scale[len(model.names) - misfit.n_prior :]
@@ -58,8 +58,8 @@ def start_mesh(settings: WearSettings, misfit: Misfit) -> list[FloatArray]:
 
 
 def descend(
-    misfit: Misfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
-) -> Minimum:
+    misfit: WornMisfit, start: FloatArray, free: Sequence[int] | None = None, tolerance: float = TOLERANCE
+) -> WearMinimum:
     """Minimum within the bounds from a scaled *start* (n,) [1]; *free*: those that move, by default all."""
     moving = list(range(start.size)) if free is None else list(free)
     whole, low, high = np.array(start, float), misfit.model.low[moving], misfit.model.high[moving]
@@ -70,7 +70,7 @@ def descend(
         return point
 
     if not moving:
-        return Minimum(whole, misfit.chi2(whole), 1, True, 1)
+        return WearMinimum(whole, misfit.chi2(whole), 1, True, 1)
 
     inward = 1e-6 * (high - low)
     solution = scipy.optimize.least_squares(
@@ -83,10 +83,10 @@ def descend(
         gtol=tolerance,
         max_nfev=MOST_EVALUATIONS,
     )
-    return Minimum(full(solution.x), 2 * float(solution.cost), 1, solution.status > 0, int(solution.nfev))
+    return WearMinimum(full(solution.x), 2 * float(solution.cost), 1, solution.status > 0, int(solution.nfev))
 
 
-def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
+def minima(misfit: WornMisfit, starts: Sequence[FloatArray]) -> list[WearMinimum]:
     """Distinct minima of all scaled starts (n,) [1], the lowest first; FitError where none is finite."""
     rough = _rank([descend(misfit, start, tolerance=START_TOLERANCE) for start in starts])
     candidates = _rank([_continue(misfit, minimum) for minimum in merge(rough)])
@@ -95,28 +95,28 @@ def minima(misfit: Misfit, starts: Sequence[FloatArray]) -> list[Minimum]:
     return merge(candidates)
 
 
-def _rank(candidates: Sequence[Minimum]) -> list[Minimum]:
+def _rank(candidates: Sequence[WearMinimum]) -> list[WearMinimum]:
     return sorted(candidates, key=lambda minimum: (not minimum.converged, minimum.chi2))
 
 
-def _continue(misfit: Misfit, minimum: Minimum) -> Minimum:
+def _continue(misfit: WornMisfit, minimum: WearMinimum) -> WearMinimum:
     if not minimum.converged:
         return minimum
-    return _joined(descend(misfit, minimum.parameters), minimum, minimum.starts)
+    return _join(descend(misfit, minimum.parameters), minimum, minimum.starts)
 
 
-def merge(candidates: Sequence[Minimum]) -> list[Minimum]:
-    distinct: list[Minimum] = []
+def merge(candidates: Sequence[WearMinimum]) -> list[WearMinimum]:
+    distinct: list[WearMinimum] = []
     for candidate in candidates:
         alike = (n for n, other in enumerate(distinct) if _is_same(candidate.parameters, other.parameters))
         if (near := next(alike, None)) is None:
             distinct.append(candidate)
         else:
-            distinct[near] = _joined(distinct[near], candidate, distinct[near].starts + candidate.starts)
+            distinct[near] = _join(distinct[near], candidate, distinct[near].starts + candidate.starts)
     return distinct
 
 
-def _joined(minimum: Minimum, other: Minimum, starts: int) -> Minimum:
+def _join(minimum: WearMinimum, other: WearMinimum, starts: int) -> WearMinimum:
     return replace(minimum, starts=starts, evaluations=minimum.evaluations + other.evaluations)
 
 
@@ -126,8 +126,8 @@ def _is_same(first: FloatArray, second: FloatArray) -> bool:
 
 
 def refine(
-    misfit: Misfit, minimum: Minimum, free: Sequence[int] | None = None, hopeless: float = np.inf
-) -> tuple[Misfit, Minimum]:
+    misfit: WornMisfit, minimum: WearMinimum, free: Sequence[int] | None = None, hopeless: float = np.inf
+) -> tuple[WornMisfit, WearMinimum]:
     """Minimum on the films instead of the tables: correct the tables at the minimum and descend, repeatedly,
     first with the tables' slopes, then with the films' own. Not converged where this does not settle, or
     beyond a chi-square that is *hopeless*.
@@ -137,8 +137,8 @@ def refine(
         before = minimum.parameters
         with_slopes = slopes < SLOPE_ROUNDS and (moved > FAR if slopes else moved < NEAR or number >= LATEST)
         slopes += with_slopes
-        misfit = replace(misfit, model=misfit.model.refined(before, with_slopes), _last=None)
-        minimum = _joined(descend(misfit, before, free), minimum, minimum.starts)
+        misfit = replace(misfit, model=misfit.model.refine(before, with_slopes), _last=None)
+        minimum = _join(descend(misfit, before, free), minimum, minimum.starts)
         if minimum.chi2 > hopeless:
             break
         moved = float(np.linalg.norm(misfit.jacobian(minimum.parameters) @ (minimum.parameters - before)))
@@ -164,7 +164,7 @@ class Interval:
 
 
 def profile_interval(
-    misfit: Misfit, best: Minimum, number: int, std_error: float, limit: float = 1.96
+    misfit: WornMisfit, best: WearMinimum, number: int, std_error: float, limit: float = 1.96
 ) -> Interval:
     """Where the root of the misfit's increase reaches *limit*, all other parameters re-estimated;
     *std_error*: a first guess of the distance for one, scaled. Equation (wear-profile).
@@ -174,7 +174,7 @@ def profile_interval(
 
 
 def _end(
-    misfit: Misfit, best: Minimum, number: int, side: int, std_error: float, limit: float
+    misfit: WornMisfit, best: WearMinimum, number: int, side: int, std_error: float, limit: float
 ) -> tuple[float, bool]:
     here = float(best.parameters[number])
     bound = float((misfit.model.low if side < 0 else misfit.model.high)[number])
@@ -201,7 +201,7 @@ def _end(
     return here + side * step, False
 
 
-def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> float:
+def profile_distance(misfit: WornMisfit, best: WearMinimum, fixed: dict[int, float]) -> float:
     """sqrt(chi2 - chi2_min) with some parameters fixed at scaled values and the others estimated again."""
     start = best.parameters.copy()
     start[[*fixed]] = [*fixed.values()]
@@ -210,7 +210,7 @@ def profile_distance(misfit: Misfit, best: Minimum, fixed: dict[int, float]) -> 
 
 
 def joint_region(
-    misfit: Misfit, best: Minimum, covariance: FloatArray, level: float = 0.95, directions: int = 24
+    misfit: WornMisfit, best: WearMinimum, covariance: FloatArray, level: float = 0.95, directions: int = 24
 ) -> FloatArray:
     """Outline of the joint confidence region of the first two parameters, (n_direction, 2), scaled [1]: along
     rays from the estimate, in units of the *covariance* (n, n), to where the profile increases by the
@@ -243,7 +243,7 @@ AROUND = np.linspace(-3.0, 3.0, 7)
 LEAST_INFORMATION = 1e-8
 
 
-def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
+def healthy_minimum(misfit: WornMisfit, best: WearMinimum) -> tuple[WornMisfit, WearMinimum]:
     """Minimum at zero depth, refined on the films; no start leads there, where the slope by depth is zero."""
     nuisances = range(2, len(misfit.model.names))
     healthy = descend(misfit, np.array([0.0, 0.0, *best.parameters[2:]]), nuisances)
@@ -251,7 +251,7 @@ def healthy_minimum(misfit: Misfit, best: Minimum) -> tuple[Misfit, Minimum]:
     return refined_misfit, replace(healthy, starts=0)
 
 
-def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> float:
+def healthy_probability(misfit: WornMisfit, best: WearMinimum, healthy_chi2: float) -> float:
     """P(no wear | response) = 1 / (1 + B), even odds before and wear evenly likely over its range: B is the
     mean there of exp(-(chi2(depth, angle) - chi2(0)) / 2), the other parameters estimated again at every
     point (their spread cancels). Equation (wear-healthy).
@@ -261,20 +261,20 @@ def healthy_probability(misfit: Misfit, best: Minimum, healthy_chi2: float) -> f
     return float(np.exp(-gain / 2) / (np.exp(-gain / 2) + share))
 
 
-def peak_share(misfit: Misfit, best: Minimum) -> float:
+def peak_share(misfit: WornMisfit, best: WearMinimum) -> float:
     """Of one narrow peak: 2 pi sqrt(det cov) over the area."""
     area = float(np.prod(misfit.model.high[:2] - misfit.model.low[:2]))
     spread = np.linalg.det(covariance_of(misfit, best)[:2, :2])
     return min(float(2 * np.pi * np.sqrt(max(spread, 1e-12))) / area, 1.0)
 
 
-def covariance_of(misfit: Misfit, best: Minimum) -> FloatArray:
+def covariance_of(misfit: WornMisfit, best: WearMinimum) -> FloatArray:
     """Covariance (n, n) [1] of the scaled parameters at a minimum by the noise, (J^T J)^-1."""
     jacobian = misfit.jacobian(best.parameters)
     return np.linalg.inv(jacobian.T @ jacobian + LEAST_INFORMATION * np.eye(jacobian.shape[1]))
 
 
-def _mean_likelihood(misfit: Misfit, best: Minimum) -> float:
+def _mean_likelihood(misfit: WornMisfit, best: WearMinimum) -> float:
     """Mean of exp(-(chi2 - chi2_min) / 2), dense at small depths and around the best wear."""
     low, high = misfit.model.low[:2], misfit.model.high[:2]
     widths = np.minimum(np.sqrt(np.diag(covariance_of(misfit, best))[:2]), (high - low) / 8)
@@ -295,7 +295,7 @@ def _mesh(ticks: FloatArray, around: FloatArray, low: float, high: float) -> Flo
     return np.unique(both[(both >= low) & (both <= high)])
 
 
-def film_covariance(misfit: Misfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
+def film_covariance(misfit: WornMisfit, parameters: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariance (n, n) [1] of the scaled *parameters* (n,) at a refined minimum by the mesh of the films:
     sum of b b^T with b = -covariance J^T dr, dr the change of the residual by a film's error and *covariance*
     (n, n) [1] that of the noise. Equation (wear-film).

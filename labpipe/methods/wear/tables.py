@@ -21,7 +21,7 @@ from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, Tabl
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import BearingPlace
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.spectra.convert import FROM_DIRECTIONAL
 
 
@@ -29,7 +29,7 @@ from labpipe.spectra.convert import FROM_DIRECTIONAL
 class VaryingSupport:
     """A bearing, and the derivatives of its coefficients by *n* parameters, (n, 2, 2) [SI] each."""
 
-    support: Support
+    support: NodeSupport
     stiffness_slopes: FloatArray
     damping_slopes: FloatArray
 
@@ -102,7 +102,7 @@ def table_range(depth: float, angle: float, *factors: float, cavitation_pressure
     )
 
 
-def _of_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
+def _read_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
     film = table.coefficients(bearing, speed)
     slopes = np.stack([film.stiffness_slopes, film.damping_slopes])
     return np.stack([film.stiffness, film.damping]), slopes
@@ -173,7 +173,7 @@ class TabledBearing:
     speed: float
     worn: bool
     table: JournalTable | None
-    fixed: Support | None = None
+    fixed: NodeSupport | None = None
     correction: Correction | None = None
     film: JournalEquilibrium | None = None
 
@@ -183,16 +183,16 @@ class TabledBearing:
             assert self.fixed is not None
             return VaryingSupport(self.fixed, *np.zeros((2, len(names), 2, 2)))
         bearing = self._bearing(values)
-        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+        matrices, by_parameter = _read_table(self.table, bearing, self.speed)
         if self.correction is not None:
             matrices = matrices + self.correction.at(_point(bearing))
             by_parameter += self.correction.slopes
         slopes = np.zeros((2, len(names), 2, 2))
-        for name in self._followed(names):
+        for name in self._followed_names(names):
             slopes[:, names.index(name)] = by_parameter[:, PARAMETERS.index(name)]
-        return VaryingSupport(Support(self.place.node, *matrices), *slopes)
+        return VaryingSupport(NodeSupport(self.place.node, *matrices), *slopes)
 
-    def refined(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
+    def refine(self, values: Mapping[str, float], mesh: FilmMesh, with_slopes: bool) -> TabledBearing:
         """This bearing with the film's own coefficients at *values*, on a finer mesh, and its slopes as well
         (*with_slopes*) or those of the last correction, made nearby.
         """
@@ -201,12 +201,12 @@ class TabledBearing:
         bearing = self._bearing(values)
         film = self._film(bearing, mesh)
         if self.table is None:
-            return replace(self, fixed=Support(self.place.node, film.stiffness, film.damping), film=film)
-        matrices, by_parameter = _of_table(self.table, bearing, self.speed)
+            return replace(self, fixed=NodeSupport(self.place.node, film.stiffness, film.damping), film=film)
+        matrices, by_parameter = _read_table(self.table, bearing, self.speed)
         slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
         if with_slopes:
             slopes = np.zeros_like(by_parameter)
-            for name, slope in film_slopes(film, self._followed(values)).items():
+            for name, slope in film_slopes(film, self._followed_names(values)).items():
                 number = PARAMETERS.index(name)
                 slopes[:, number] = slope - by_parameter[:, number]
         correction = Correction(_point(bearing), np.stack([film.stiffness, film.damping]) - matrices, slopes)
@@ -223,22 +223,24 @@ class TabledBearing:
         """
         bearing = self._bearing(values)
         fine = self._film(bearing, mesh)
-        coarse = journal_equilibrium(bearing, self.load, self.speed, mesh.halved() or mesh, fine.coarser)
+        coarse = journal_equilibrium(bearing, self.load, self.speed, mesh.halve() or mesh, fine.coarser)
         return np.array([fine.stiffness - coarse.stiffness, fine.damping - coarse.damping]) / 3
 
-    def shifted(self, change: FloatArray) -> TabledBearing:
+    def shift(self, change: FloatArray) -> TabledBearing:
         """This bearing, refined before, with a *change* (2, 2, 2) of stiffness [N/m] and damping [N s/m]."""
         if (fixed := self.fixed) is not None:
-            shifted = Support(self.place.node, fixed.stiffness + change[0], fixed.damping + change[1])
+            shifted = NodeSupport(self.place.node, fixed.stiffness + change[0], fixed.damping + change[1])
             return replace(self, fixed=shifted)
         assert self.correction is not None
         return replace(self, correction=replace(self.correction, offset=self.correction.offset + change))
 
-    def _followed(self, names: Collection[str]) -> list[str]:
+    def _followed_names(self, names: Collection[str]) -> list[str]:
         return [name for name in PARAMETERS if name in names and (self.worn or name not in WEAR)]
 
     def _bearing(self, values: Mapping[str, float]) -> JournalBearing:
-        return replace(self.place.film("wear"), **{name: values[name] for name in self._followed(values)})
+        return replace(
+            self.place.film("wear"), **{name: values[name] for name in self._followed_names(values)}
+        )
 
 
 def tabulate(
@@ -257,7 +259,9 @@ def tabulate(
             if place.is_film
             else place.bearing.at(OperatingPoint(load, speed, speed))
         )
-        return TabledBearing(place, load, speed, worn, None, Support(place.node, at.stiffness, at.damping))
+        return TabledBearing(
+            place, load, speed, worn, None, NodeSupport(place.node, at.stiffness, at.damping)
+        )
     bearing = place.film("wear")
     if bearing.wear_depth > 0 and not worn:
         what = "has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation"

@@ -13,10 +13,10 @@ from scipy import stats
 
 from labpipe.methods.balancing.balance_file import model as stored_model
 from labpipe.methods.balancing.influence import (
+    BalanceRun,
     Influence,
-    Noise,
     Places,
-    Run,
+    ReadingNoise,
     best_weights,
     influence,
     next_runs,
@@ -44,14 +44,16 @@ def vectors(places: list[Places], masses: list[np.ndarray]) -> np.ndarray:
     return np.array([place.radius * (mass @ np.exp(1j * place.angles)) for place, mass in both])
 
 
-def measured(rng: np.random.Generator, z_0: np.ndarray, alpha: np.ndarray, noise: Noise) -> list[Run]:
+def measured(
+    rng: np.random.Generator, z_0: np.ndarray, alpha: np.ndarray, noise: ReadingNoise
+) -> list[BalanceRun]:
     """A run as found and one with a trial weight in each plane."""
     runs = []
     for weights in (np.zeros(alpha.shape[1]), *(3.0 * np.eye(alpha.shape[1]))):
         z = z_0 + alpha @ weights
         spread = np.sqrt(noise.variance(z) / 2)
         z = z + spread * (rng.standard_normal(z.size) + 1j * rng.standard_normal(z.size))
-        runs.append(Run(f"run {len(runs)}", weights.astype(complex), z))
+        runs.append(BalanceRun(f"run {len(runs)}", weights.astype(complex), z))
     return runs
 
 
@@ -95,15 +97,18 @@ def test_the_lines_say_what_the_file_has(labpipe, tmp_path):
 def test_one_plane_is_the_vector_triangle():
     """w = -z_0 t / (z_1 - z_0), the construction of every handbook."""
     z_0, z_1, trial = at(7.2, 238), at(4.9, 114), at(20.5, 75)
-    runs = [Run("0", np.array([0j]), np.array([z_0])), Run("1", np.array([trial]), np.array([z_1]))]
-    known = influence(runs, Noise(1e-9, 1e-9))
+    runs = [
+        BalanceRun("0", np.array([0j]), np.array([z_0])),
+        BalanceRun("1", np.array([trial]), np.array([z_1])),
+    ]
+    known = influence(runs, ReadingNoise(1e-9, 1e-9))
     np.testing.assert_allclose(best_weights(known.square), [-z_0 * trial / (z_1 - z_0)], rtol=1e-9)
 
 
 def test_an_influence_that_is_hardly_known_is_not_trusted():
     """Two planes that act alike, 60 rigs: the exact inverse leaves more than the least expected square."""
     rng, squares = np.random.default_rng(3), []
-    noise = Noise(0.0, 0.02)
+    noise = ReadingNoise(0.0, 0.02)
     for _ in range(60):
         column = rng.standard_normal(4) + 1j * rng.standard_normal(4)
         alpha = np.stack([column, column * (1 + 1e-3 * rng.standard_normal(4))], axis=1)
@@ -117,7 +122,7 @@ def test_an_influence_that_is_hardly_known_is_not_trusted():
 
 def test_places_with_a_largest_mass_reach_what_they_can():
     rng = np.random.default_rng(5)
-    noise = Noise(1e-6, 1e-6)
+    noise = ReadingNoise(1e-6, 1e-6)
     z_0, alpha = rig(rng, 4, 2)
     known = influence(measured(rng, z_0, alpha, noise), noise)
     free = best_weights(known.square)
@@ -142,9 +147,11 @@ def test_places_with_a_largest_mass_reach_what_they_can():
 def test_readings_beyond_the_stated_noise_are_seen():
     rng = np.random.default_rng(8)
     z_0, alpha = rig(rng, 4, 1)
-    runs = measured(rng, z_0, alpha, Noise(0.0, 0.01)) + measured(rng, 1.3 * z_0, alpha, Noise(0.0, 0.01))
-    assert influence(runs[:2], Noise(0.0, 0.01)).dof == 0
-    known = influence(runs, Noise(0.0, 0.01))
+    runs = measured(rng, z_0, alpha, ReadingNoise(0.0, 0.01)) + measured(
+        rng, 1.3 * z_0, alpha, ReadingNoise(0.0, 0.01)
+    )
+    assert influence(runs[:2], ReadingNoise(0.0, 0.01)).dof == 0
+    known = influence(runs, ReadingNoise(0.0, 0.01))
     assert known.dof == 16 and known.misfit > 100
 
 
@@ -177,11 +184,13 @@ def world(known: Influence, parts: np.ndarray, rng: np.random.Generator) -> np.n
 
 def test_a_run_after_a_model_is_the_sum_of_their_informations():
     """N(m, C) and readings y = A x + e give x = (C^-1 + A^T R^-1 A)^-1 (C^-1 m + A^T R^-1 y)."""
-    rng, noise = np.random.default_rng(2), Noise(0.05, 0.02)
+    rng, noise = np.random.default_rng(2), ReadingNoise(0.05, 0.02)
     n_line, n = 3, 3
     root = rng.standard_normal((2 * n_line * n, 40))
     known = Influence(rig(rng, n_line, n - 1)[1] @ np.ones((n - 1, n)), root @ root.T / 40, modelled=True)
-    run = Run("r", rng.standard_normal(2) + 1j * rng.standard_normal(2), rng.standard_normal(n_line) + 0.5j)
+    run = BalanceRun(
+        "r", rng.standard_normal(2) + 1j * rng.standard_normal(2), rng.standard_normal(n_line) + 0.5j
+    )
     run.readings[1] = np.nan
     after = influence([run], noise, known)
     x = np.concatenate([known.mean.real.ravel(), known.mean.imag.ravel()])
@@ -206,7 +215,7 @@ def test_a_run_after_a_model_is_the_sum_of_their_informations():
 
 
 def test_a_model_that_says_nothing_leaves_the_runs_alone():
-    rng, noise = np.random.default_rng(4), Noise(0.02, 0.02)
+    rng, noise = np.random.default_rng(4), ReadingNoise(0.02, 0.02)
     z_0, alpha = rig(rng, 4, 2)
     runs = measured(rng, z_0, alpha, noise)
     nothing = Influence(np.zeros((4, 3), complex), 1e8 * np.eye(24), modelled=True)
@@ -223,7 +232,7 @@ def test_what_a_model_and_runs_leave_lies_in_its_interval(n_run):
     trial run as well; what is left falls with every run. Fewer than 52 hold once in 350 draws of 95 %, and
     in 87 of 100 where 80 % hold.
     """
-    rng, noise = np.random.default_rng([n_run, 21]), Noise(0.02, 0.01)
+    rng, noise = np.random.default_rng([n_run, 21]), ReadingNoise(0.02, 0.01)
     held, left, without = [], [], []
     for _ in range(60):
         known, parts = model(rng, 6, 2, 0.1)
@@ -245,8 +254,10 @@ def test_what_a_model_and_runs_leave_lies_in_its_interval(n_run):
 def test_one_more_run_does_not_lower_what_no_weights_change():
     """Six readings that one plane moves alike, and .5 of alternating sign that is left."""
     fixed = 0.5 * np.array([1, -1, 1, -1, 1, -1])
-    runs = [Run(str(w), np.array([w + 0j]), 2 + fixed + w + 0j) for w in (0.0, 1.0)]
-    left = next_runs(influence(runs, Noise(0.0, 0.01)), Noise(0.0, 0.01), {"w": np.array([-2.0 + 0j])})["w"]
+    runs = [BalanceRun(str(w), np.array([w + 0j]), 2 + fixed + w + 0j) for w in (0.0, 1.0)]
+    left = next_runs(
+        influence(runs, ReadingNoise(0.0, 0.01)), ReadingNoise(0.0, 0.01), {"w": np.array([-2.0 + 0j])}
+    )["w"]
     assert left == pytest.approx(0.5, rel=0.02)
 
 
@@ -254,8 +265,8 @@ def test_what_no_weights_change_counts_though_noise_may_explain_it():
     """.35 of alternating sign in six readings: 3 z(0) - 2 z(1) has the variance v = 13 x 2 x .05^2 in each;
     a chi-square of 10 exceeds this one in 1 % of cases. E|fixed|^2 = .35^2 - 5 v / 6, and a reading's own.
     """
-    fixed, noise = 0.35 * np.array([1, -1, 1, -1, 1, -1]), Noise(0.05, 0.0)
-    runs = [Run(str(w), np.array([w + 0j]), 2 + fixed + w + 0j) for w in (0.0, 1.0)]
+    fixed, noise = 0.35 * np.array([1, -1, 1, -1, 1, -1]), ReadingNoise(0.05, 0.0)
+    runs = [BalanceRun(str(w), np.array([w + 0j]), 2 + fixed + w + 0j) for w in (0.0, 1.0)]
     left = next_runs(influence(runs, noise), noise, {"w": np.array([-2.0 + 0j])})["w"]
     assert left == pytest.approx(np.sqrt(0.35**2 - 5 / 6 * 13 * 2 * 0.05**2 + 2 * 0.05**2), rel=0.05)
 
@@ -264,9 +275,9 @@ def test_one_more_run_reads_what_it_leaves_with_its_own_noise():
     """z_0 = 1 and z_0 + alpha = 3 read to r = 1 % leave E|z_0 - alpha / 2|^2 = 1.5^2 r^2 + (.5 x 3)^2 r^2;
     a reading of that to r leaves r of its size, and errors of alpha of the same order.
     """
-    noise, weights = Noise(0.0, 0.01), np.array([-0.5 + 0j])
+    noise, weights = ReadingNoise(0.0, 0.01), np.array([-0.5 + 0j])
     known = influence(
-        [Run(str(w), np.array([w]), np.array([z])) for w, z in ((0j, 1 + 0j), (1 + 0j, 3 + 0j))], noise
+        [BalanceRun(str(w), np.array([w]), np.array([z])) for w, z in ((0j, 1 + 0j), (1 + 0j, 3 + 0j))], noise
     )
     expected = 0.01 * 0.01 * 1.5 * 2**0.5
     assert expected < next_runs(known, noise, {"w": weights})["w"] < 2 * expected
@@ -289,7 +300,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
     was said, to what no weights change, which is three times the scatter of a reading.
     """
     rng = np.random.default_rng([n_line, n_plane, 11])
-    noise = Noise(0.02, share)
+    noise = ReadingNoise(0.02, share)
     held, lower, promised = [], [], []
     for _ in range(60):
         z_0, alpha = rig(rng, n_line, n_plane)
@@ -305,7 +316,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         reading = left + spread * (rng.standard_normal(n_line) + 1j * rng.standard_normal(n_line))
         rms = np.sqrt(np.mean(np.abs(reading) ** 2))
         held.append(stated.interval[0] <= rms <= stated.interval[1])
-        again = influence([*runs, Run("w", weights, reading)], noise)
+        again = influence([*runs, BalanceRun("w", weights, reading)], noise)
         left = z_0 + alpha @ best_weights(again.square)
         lower.append(np.mean(np.abs(left) ** 2 + noise.variance(left)))
         promised.append(next_runs(known, noise, {"w": weights})["w"] ** 2)
@@ -416,13 +427,13 @@ def test_doubt_of_the_model_moves_the_upper_end_alone() -> None:
     root = 0.02 * rng.standard_normal((24, 6))
     plain = Influence(mean, root @ root.T, modelled=True)
     wide = Influence(mean, 1.5**2 * plain.joint, modelled=True, narrow=plain)
-    noise = Noise(1e-9, 0.0)
+    noise = ReadingNoise(1e-9, 0.0)
     weights = best_weights(plain.square)
     widened, said = (residual_of(known, weights, noise) for known in (wide, plain))
     assert widened.interval[0] == said.interval[0] and np.array_equal(widened.low, said.low)
     assert widened.interval[1] == pytest.approx(1.5 * said.interval[1], rel=0.02)
-    loud = Noise(0.05, 0.01)
-    run = Run("first", weights, mean @ np.concatenate([[1.0], weights]) + 0.1)
+    loud = ReadingNoise(0.05, 0.01)
+    run = BalanceRun("first", weights, mean @ np.concatenate([[1.0], weights]) + 0.1)
     trimmed, plainly = wide.after(run, loud), plain.after(run, loud)
     chosen = best_weights(trimmed.square)
     assert residual_of(trimmed, chosen, loud).interval[0] <= residual_of(plainly, chosen, loud).interval[0]
@@ -497,7 +508,7 @@ def test_at_most_so_much_unbalance_is_left():
     """Rigs drawn anew whose two planes act alike but for a thirteenth, eight readings, a trial weight in
     each: the true unbalance with the weights is below the stated upper end in 95 % (of 300, +- 1.3 %).
     """
-    noise, held = Noise(0.1e-6, 0.02), []
+    noise, held = ReadingNoise(0.1e-6, 0.02), []
     for draw in range(150):
         rng = np.random.default_rng(draw)
         first, other, u = (
@@ -511,7 +522,9 @@ def test_at_most_so_much_unbalance_is_left():
             return z + (0.02 * np.abs(z) / np.sqrt(2) * parts[0] + 0.1e-6 * parts[1]).T @ [1, 1j]
 
         weights = np.array([[0, 0], [20e-6, 0], [0, 20e-6j]])
-        known = influence([Run(str(n), added, reading(added)) for n, added in enumerate(weights)], noise)
+        known = influence(
+            [BalanceRun(str(n), added, reading(added)) for n, added in enumerate(weights)], noise
+        )
         chosen = best_weights(known.square)
         held += (np.abs(u + chosen) <= residual_of(known, chosen, noise).unbalance).tolist()
     assert 0.90 < np.mean(held) < 0.99

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labpipe.records.recording import Channel, Term
+from labpipe.records.recording import Channel, SumTerm
 from labpipe.records.spectra import ChannelSpectra, UncertainFactor
 
 CHANNELS = tuple(
@@ -168,7 +168,11 @@ def less_inertia(spectra: ChannelSpectra, mass: float, uncertainty: float) -> Ch
         effect[6 + n, n], effect[6 + n, 4 + n], slope[6 + n, 4 + n] = 1.0, -mass, -1.0
     sums = tuple(
         Channel(
-            f"f{axis}_eff", "force", "input", axis, terms=(Term(f"f{axis}", 1.0), Term(f"a{axis}", -mass))
+            f"f{axis}_eff",
+            "force",
+            "input",
+            axis,
+            terms=(SumTerm(f"f{axis}", 1.0), SumTerm(f"a{axis}", -mass)),
         )
         for axis in "xy"
     )

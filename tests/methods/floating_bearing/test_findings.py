@@ -11,7 +11,7 @@ import pytest
 from labpipe.methods.floating_bearing import findings
 from labpipe.methods.floating_bearing.findings import motion_findings, physical_findings, shaft_motion
 from labpipe.methods.floating_bearing.stator import stator_of
-from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingNoise, FloatingRig
+from labpipe.methods.floating_bearing.virtual_rig import FilmCondition, FloatingNoise, FloatingRig
 from labpipe.records.finding import Parameter
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra
@@ -44,7 +44,7 @@ def test_motion_beyond_three_standard_errors_is_said(
 BENCH = FloatingRig(
     kind="virtual-floating-rig",
     stator_mass=25.0,
-    conditions=(("dry", Condition()),),
+    conditions=(("dry", FilmCondition()),),
     baseline_stiffness=((1.1e6, 0.0), (0.0, 0.9e6)),
     baseline_damping=((400.0, 0.0), (0.0, 350.0)),
     force=300.0,
@@ -74,7 +74,7 @@ def test_a_shaft_at_rest_does_not_move() -> None:
 
 def test_a_shaft_that_moves_is_seen() -> None:
     """A film of 2 MN/m on a shaft of 50 MN/m: 4 % of the motion."""
-    film = Condition(stiffness=((2e6, 0.0), (0.0, 2e6)), damping=((2e3, 0.0), (0.0, 2e3)))
+    film = FilmCondition(stiffness=((2e6, 0.0), (0.0, 2e6)), damping=((2e3, 0.0), (0.0, 2e3)))
     rig = replace(BENCH, conditions=(("film", film),), shaft_stiffness=((5e7, 0.0), (0.0, 5e7)))
     stator = stator_of(channel_spectra(recordings(rig, 1, ["film-plus"]), LINES), None, (), ())
     moved = shaft_motion(stator)

@@ -13,7 +13,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.floating_bearing.virtual_rig import (
     FLOATING_RIG,
-    Condition,
+    FilmCondition,
     FloatingNoise,
     FloatingRig,
     Pad,
@@ -84,7 +84,7 @@ def test_the_shaft_moves_on_its_own_supports() -> None:
 
 def test_relaxation_and_pad_are_added_in_both_directions() -> None:
     """G jwt/(1 + jwt) and (R_0 + jw R_1)/(1 + 2 z jw/w_0 - w^2/w_0^2), at every line."""
-    condition = Condition(
+    condition = FilmCondition(
         stiffness=[[2e7, 0], [0, 2e7]],
         relaxation=Relaxation(1e7, 2e-3),
         pad=Pad("10 MN/m", "5 kN.s/m", "60 Hz", "50 %"),
@@ -126,7 +126,7 @@ def test_runout_turns_with_the_shaft_and_its_tacho() -> None:
     behind; a pulse per turn.
     """
     turning = replace(
-        seal(), conditions=(("dry", Condition(speed="32 Hz")),), runout=(5e-6, 2e-6), force=1e-9
+        seal(), conditions=(("dry", FilmCondition(speed="32 Hz")),), runout=(5e-6, 2e-6), force=1e-9
     )
     (recording,) = recordings(turning, 1, ["dry-x"])
     amplitude = np.fft.rfft(recording.samples, axis=0) * 2 / recording.n_sample
@@ -175,7 +175,7 @@ def test_noise_is_that_of_the_settings_on_every_channel() -> None:
     8000 samples give a standard deviation within 3 %.
     """
     rig = replace(
-        seal(drives=True), conditions=(("dry", Condition()),), noise=FloatingNoise(3.0, 2e-7, 0.04, 1e-3)
+        seal(drives=True), conditions=(("dry", FilmCondition()),), noise=FloatingNoise(3.0, 2e-7, 0.04, 1e-3)
     )
     first, second = (recordings(rig, seed, ["dry-x"])[0].samples for seed in (1, 2))
     spread = np.std(first - second, axis=0) / np.sqrt(2)
@@ -251,7 +251,7 @@ def test_impossible_conditions_are_refused() -> None:
         ),
     ):
         with pytest.raises(ConfigError, match=message):
-            Condition(**settings)
+            FilmCondition(**settings)
 
 
 def test_a_study_may_repeat_spectra_of_all_channels() -> None:

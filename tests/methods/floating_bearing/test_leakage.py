@@ -15,7 +15,7 @@ import pytest
 import labpipe
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.measured_files import read_spectra, write_spectra
-from labpipe.methods.floating_bearing.virtual_rig import Condition
+from labpipe.methods.floating_bearing.virtual_rig import FilmCondition
 from labpipe.records.finding import WARNING
 from labpipe.records.identification import Fit
 from labpipe.simulate.virtual_rigs import recordings
@@ -44,7 +44,7 @@ def bench(zeta: float):
         for name, size in (("stiffness", STIFFNESS), ("damping", damping(zeta)))
     }
     return replace(
-        BENCH, conditions=(("dry", Condition()),), band=(5.0, 160.0), periods=240, drives=True, **of_hoses
+        BENCH, conditions=(("dry", FilmCondition()),), band=(5.0, 160.0), periods=240, drives=True, **of_hoses
     )
 
 

@@ -17,14 +17,14 @@ import labpipe
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
-from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingNoise, FloatingRig
+from labpipe.methods.floating_bearing.virtual_rig import FilmCondition, FloatingNoise, FloatingRig
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Recording
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.settings import FrfSettings
 
-FILM = Condition(
+FILM = FilmCondition(
     stiffness=((8e6, 2e6), (-3e6, 9e6)), damping=((2e4, 1e3), (-1e3, 2.4e4)), mass=((6.0, 0.0), (0.0, 6.0))
 )
 BENCH = FloatingRig(
@@ -120,7 +120,7 @@ def test_a_baseline_from_python() -> None:
     """A stator on hoses of 1.1 MN/m: the fit of the dry test is handed over by `earlier`."""
     rig = replace(
         BENCH,
-        conditions=(("film", FILM), ("dry", Condition())),
+        conditions=(("film", FILM), ("dry", FilmCondition())),
         baseline_stiffness=((1.1e6, 0.0), (0.0, 1.1e6)),
     )
     dry, film = (

@@ -139,7 +139,7 @@ def test_a_start_moved_as_two_neighbours_differ_is_nearer() -> None:
         [np.array([0.0, -w]) for w in (0.03, 0.031)],
     )
     states = [[film_equilibrium(film, load) for load in loads] for film in films]
-    start, end = states[1][0].moved(states[0][0], states[0][1]), states[1][1]
+    start, end = states[1][0].move(states[0][0], states[0][1]), states[1][1]
     distances = [
         np.abs(one.displacement - end.displacement).max() for one in (start, states[1][0], states[0][1])
     ]

@@ -257,7 +257,7 @@ def test_directions_that_are_shaken_by_turns():
     planned = update.standings["r.c_xx"].parameter
     assert planned.ci95[0] < rig.truth < planned.ci95[1] and update.averages >= 6
     # Ended by hand it is wider, 3.03 standard errors of many degrees of freedom (Wang and Ramdas 2023).
-    low, high = bench.by_hand()["r.c_xx"]
+    low, high = bench.manual_intervals()["r.c_xx"]
     assert (low + high) / 2 == pytest.approx(planned.value) and high - low > 6.06 * planned.std_error
 
 
@@ -290,11 +290,11 @@ def test_intervals_of_a_test_ended_by_hand_hold_whenever_it_ends():
     rig, by_hand, as_planned = RIGS["periods"], 0, 0
     for seed in range(40):
         bench = Bench(rig.channels, TURNS_RATE, rig.settings, [rig.fit])
-        assert bench.by_hand() == {}
+        assert bench.manual_intervals() == {}
         left = np.zeros(2, bool)
         for one in islice(rig.samples(np.random.default_rng([7, seed]), 0.05, SOUND), 15):
             (update,) = bench.add(one)
-            for name, (low, high) in bench.by_hand().items():
+            for name, (low, high) in bench.manual_intervals().items():
                 true, planned = TRUTH[name.removeprefix("s.")], update.standings[name].parameter
                 assert (low + high) / 2 == pytest.approx(planned.value, rel=1e-9)
                 assert high - low > planned.ci95[1] - planned.ci95[0]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.methods.live.charts import Forecast, Goal, OtherForces, Standing, Update, Watch
+from labpipe.methods.live.charts import Forecast, Goal, GoalWatch, OtherForces, Standing, Update
 from labpipe.methods.live.view import headline, left_text, level_text, rows_of
 from labpipe.records.finding import Parameter
 from labpipe.records.recording import Channel
@@ -86,7 +86,7 @@ def test_a_standard_error_asks_for_noise_alone_and_an_interval_for_all() -> None
     """1 % of 100 N/m is twice 1 N/m of half-width by noise; beside a floor of 3 N/m root (4 + 9)."""
     k, frf = Parameter("k", 100.0, "N/m"), FrfSettings("periodic", period=1.0)
     of_noise, of_all = (
-        Watch((), 1.0, frf, (), [Goal.of(f"k.{kind}<=1%")]) for kind in ("std_error", "expanded")
+        GoalWatch((), 1.0, frf, (), [Goal.of(f"k.{kind}<=1%")]) for kind in ("std_error", "expanded")
     )
     assert (of_noise.goal_of("a", k, 0.0), of_noise.goal_of("a", k, 3.0)) == pytest.approx((2.0, 13**0.5))
     assert (

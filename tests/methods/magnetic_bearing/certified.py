@@ -36,7 +36,7 @@ def clean(file: MagneticFile = FILE) -> np.ndarray:
     """before, after, displacement, current over the injection (n_line, 4), by the matrices that run in
     time.
     """
-    plant = file.levitated()
+    plant = file.suspension()
     loop = sampled_loop(Suspended(plant.loop, plant.negative_stiffness, plant.mass), RATE)
     signals = loop_response(loop, 2 * np.pi * FREQUENCY)
     return signals[:, [1, 2, 0, 4], 2]

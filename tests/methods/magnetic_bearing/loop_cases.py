@@ -15,7 +15,7 @@ from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.loop_problem import View, receptance
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.identification import Fit, Goodness
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 
 ROOT = Path(__file__).parents[3]
@@ -83,7 +83,7 @@ def measured(
     response = replace(
         empty,
         matrix=matrix + drawn.mean(axis=0),
-        covariance=uncorrelated(variance),
+        covariance=diagonal_covariance(variance),
         averages=float(averages or 1),
         covariance_dof=float(averages - 1) if averages else np.inf,
     )

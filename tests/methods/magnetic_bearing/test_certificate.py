@@ -15,10 +15,10 @@ from scipy import stats
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.magnetic_bearing.certificate import _bent, certificate, loop_amounts
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings, recorded_loop
+from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings, recorded_loop
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH
-from labpipe.methods.magnetic_bearing.sensitivity import per_injection, sensitivity_matrix
+from labpipe.methods.magnetic_bearing.sensitivity import response_per_injection, sensitivity_matrix
 from labpipe.methods.magnetic_bearing.stability import open_loop
 from labpipe.methods.magnetic_bearing.transfer import CrossControl
 from labpipe.records.comparison import Comparison
@@ -53,17 +53,17 @@ def asked(**own: object) -> CompareSettings:
         name="certificate",
         theory=theory,
         estimate=UNKNOWNS,
-        kind_settings=CertificateSettings(**{**OWN, **own}),
+        kind_settings=LoopCertificateSettings(**{**OWN, **own}),
     )
 
 
 def truth() -> dict[str, float]:
     """Margins by the open loop; the pole by the roots of 1 + L, Newton from nearby."""
-    of = margins(lambda w: open_loop(FILE.levitated(), w, RATE).loop, RATE / 2 * (1 - 1e-9))
+    of = margins(lambda w: open_loop(FILE.suspension(), w, RATE).loop, RATE / 2 * (1 - 1e-9))
     s = -350.0 + 900.0j
     for _ in range(50):
         values = [
-            1 + open_loop(FILE.levitated(), np.array([(s + d) / 1j]), RATE).loop[0] for d in (0.0, 1e-3)
+            1 + open_loop(FILE.suspension(), np.array([(s + d) / 1j]), RATE).loop[0] for d in (0.0, 1e-3)
         ]
         s -= values[0] * 1e-3 / (values[1] - values[0])
     return {
@@ -125,19 +125,21 @@ def test_one_draw_holds_the_truth_and_counts_its_equations(rng: np.random.Genera
 
 def test_without_a_model_the_peak_is_measured(rng: np.random.Generator) -> None:
     """0.5 % of noise: the parabola's peak within its interval, L = 1/S - 1 as it is."""
-    settings = CompareSettings(kind="certificate", name="plain", kind_settings=CertificateSettings(zone="A"))
+    settings = CompareSettings(
+        kind="certificate", name="plain", kind_settings=LoopCertificateSettings(zone="A")
+    )
     found = certificate(settings, response(rng, 0.005), None)
     peak = found.amount("peak")
     assert abs(peak.value - truth()["sensitivity_peak"]) < 4 * peak.std_error + 0.01
     real = next(part for part in found.curves if part.quantity == "L real")
-    exact = open_loop(FILE.levitated(), 2 * np.pi * FREQUENCY, RATE).loop.real
+    exact = open_loop(FILE.suspension(), 2 * np.pi * FREQUENCY, RATE).loop.real
     np.testing.assert_allclose(real.measured[10:60], exact[10:60], atol=0.2)
     assert "log decrement" not in found.statement
 
 
 def test_points_are_named_once_and_a_theory_is_of_one_loop(rng: np.random.Generator) -> None:
     measured, points = response(rng), {"before": ("before",), "after": ("after",)}
-    own = CertificateSettings(**points)
+    own = LoopCertificateSettings(**points)
     with pytest.raises(ConfigError, match="named in the comparison and in its section"):
         certificate(CompareSettings(kind="certificate", before="x", kind_settings=own), measured, None)
     coupled_loop = ControlLoop(controller=[{"form": "gain", "gain": 1.35}], cross=CrossControl())
@@ -180,7 +182,7 @@ def test_a_gain_of_spectra_changes_what_is_predicted_not_the_noise(rng: np.rando
     seen = response(rng, 0.1)
     change = 0.005 * seen.matrix * np.array([0.0, 1.0, 0.0, 0.0])[:, None]
     uncertain = replace(seen, errors=(MatrixError(Uncertainty("after.gain", 0.005, "1"), change),))
-    loop = recorded_loop(CertificateSettings(after=("after",), rate=RATE), uncertain, FILE)
+    loop = recorded_loop(LoopCertificateSettings(after=("after",), rate=RATE), uncertain, FILE)
     (error,) = loop.errors(FILE, (0.0, 0.0))
     np.testing.assert_allclose(error.change[:, 0, 0], 0.005 * response(None).matrix[:, 1, 0], rtol=1e-9)
 
@@ -212,7 +214,7 @@ def test_margins_without_a_model_hold_the_truth() -> None:
     exact, held, n = truth(), Counter(), 50
     for seed in range(n):
         settings = CompareSettings(
-            kind="certificate", name="plain", kind_settings=CertificateSettings(zone="A")
+            kind="certificate", name="plain", kind_settings=LoopCertificateSettings(zone="A")
         )
         found = certificate(settings, response(np.random.default_rng(seed), 0.005), None)
         for name in ("gain_margin_upper", "phase_margin"):
@@ -261,7 +263,7 @@ def test_decrements_of_a_fit(name: str, zeta: float) -> None:
     }
     fit = Fit("modes", "modal", "ml", gof=Goodness(1, 1), parameters=(ratio,), **sizes)
     settings = CompareSettings(
-        kind="certificate", name="c", fit="modes", kind_settings=CertificateSettings(log_decrement=0.1)
+        kind="certificate", name="c", fit="modes", kind_settings=LoopCertificateSettings(log_decrement=0.1)
     )
     found = compare(settings, Evidence((fit,), (), ()))
     amount = found.amount(f"log_decrement{name.removeprefix('zeta')}")
@@ -273,13 +275,13 @@ def test_decrements_of_a_fit(name: str, zeta: float) -> None:
     with pytest.raises(ConfigError, match="no damping ratio"):
         compare(settings, Evidence((replace(fit, parameters=()),), (), ()))
     with pytest.raises(ConfigError, match="'zone' changes nothing: the fit 'modes' is judged"):
-        compare(replace(settings, kind_settings=CertificateSettings(zone="A")), Evidence((fit,), (), ()))
+        compare(replace(settings, kind_settings=LoopCertificateSettings(zone="A")), Evidence((fit,), (), ()))
     with pytest.raises(ConfigError, match="'before' changes nothing"):
         compare(replace(settings, before="x"), Evidence((fit,), (), ()))
     several = (replace(fit, test="a", band_hz=(1.0, 2.0)), replace(fit, test="a"), replace(fit, test="b"))
     names = [amount.name for amount in compare(settings, Evidence(several, (), ())).amounts[:3]]
     assert names == [f"{amount.name}_{end}" for end in ("a_band1", "a_band2", "b")]
-    one = replace(settings, kind_settings=CertificateSettings(log_decrement=0.1, test="b"))
+    one = replace(settings, kind_settings=LoopCertificateSettings(log_decrement=0.1, test="b"))
     assert compare(one, Evidence(several, (), ())).amounts == found.amounts
 
 
@@ -297,12 +299,12 @@ def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Genera
     covariance[:, 0, 1:, 1:] = 4 * plain.covariance
     vectors = np.concatenate([np.full((FREQUENCY.size, 1), 2.0), 2 * plain.matrix[:, :, 0]], axis=1)[:, None]
     spectra = ChannelSpectra(FREQUENCY, vectors, covariance, tuple(channels), ("run",))
-    again = per_injection(spectra)
+    again = response_per_injection(spectra)
     np.testing.assert_allclose(again.matrix, plain.matrix)
     np.testing.assert_allclose(again.covariance, plain.covariance)
     noisy = np.array(covariance)
     noisy[:, 0, 0, 0] = 0.01
-    with_noise = per_injection(replace(spectra, covariance=noisy))
+    with_noise = response_per_injection(replace(spectra, covariance=noisy))
     # E|H dR|^2 / |R|^2 more.
     np.testing.assert_allclose(
         with_noise.covariance - plain.covariance,
@@ -310,7 +312,7 @@ def test_spectra_of_all_channels_give_the_same_certificate(rng: np.random.Genera
         atol=1e-12,
     )
     with pytest.raises(ConfigError, match=r"1 run\(s\) for 2 injection"):
-        per_injection(
+        response_per_injection(
             replace(spectra, channels=(channels[0], replace(channels[1], role="input"), *channels[2:]))
         )
 
@@ -360,7 +362,7 @@ def test_a_certificate_of_coupled_loops(rng: np.random.Generator) -> None:
     settings = CompareSettings(
         kind="certificate",
         name="both",
-        kind_settings=CertificateSettings(before=["bx", "by"], after=["ax", "ay"]),
+        kind_settings=LoopCertificateSettings(before=["bx", "by"], after=["ax", "ay"]),
     )
     found = certificate(settings, noisy, None)
     assert (
@@ -409,7 +411,7 @@ def test_impossible_settings_are_refused(own: dict[str, object], message: str) -
 def test_what_does_not_fit_together_is_refused(rng: np.random.Generator) -> None:
     plain = response(rng)
     with pytest.raises(ConfigError, match="not those of the kind trend"):
-        CompareSettings(kind="trend", fit="a", over=("b",), kind_settings=CertificateSettings())
+        CompareSettings(kind="trend", fit="a", over=("b",), kind_settings=LoopCertificateSettings())
     with pytest.raises(ConfigError, match="no response 'z'"):
         certificate(asked(displacement="z"), plain, FILE)
     with pytest.raises(FitError, match="noise of the response is not known"):
@@ -428,5 +430,5 @@ def test_magnets_that_outgrow_all_numbers_are_refused() -> None:
 
 def test_a_pole_that_does_not_swing_has_no_logarithmic_decrement() -> None:
     """A mode that the errors of the unknowns move to where it only decays: its decrement is infinite."""
-    found = loop_amounts(FILE.levitated(), None, np.array([-100 + 0j]), stable=False)
+    found = loop_amounts(FILE.suspension(), None, np.array([-100 + 0j]), stable=False)
     assert found == {"f_n_1": 100 / (2 * np.pi), "pole_real_1": -100.0, "pole_imag_1": 0.0}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings
+from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from labpipe.methods.magnetic_bearing.limits import CertificateSettings
     ],
 )
 def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]) -> None:
-    assert CertificateSettings(**entries).least_decrement == 0.1
+    assert LoopCertificateSettings(**entries).least_decrement == 0.1
 
 
 @pytest.mark.parametrize(
@@ -40,5 +40,5 @@ def test_points_one_per_loop_and_limits_that_can_be_kept(entries: dict[str, Any]
 )
 def test_what_is_refused_names_its_entry(entries: dict[str, Any], field: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        CertificateSettings(**entries)
+        LoopCertificateSettings(**entries)
     assert caught.value.field == field

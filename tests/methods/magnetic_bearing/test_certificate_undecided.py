@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from labpipe.methods.magnetic_bearing.limits import (
-    CertificateSettings,
     Limit,
-    below,
+    LoopCertificateSettings,
     decrement_certificate,
+    probability_below,
     verdict_of,
     words,
 )
@@ -260,7 +260,9 @@ def test_a_rule_fails_where_a_test_lacks_its_parameter_or_the_fit_did_not_conver
     ],
 )
 def test_decrements_of_a_rejected_fit_are_undecided(fit: Fit, why: str) -> None:
-    settings = CompareSettings(kind="certificate", name="c", fit="modes", kind_settings=CertificateSettings())
+    settings = CompareSettings(
+        kind="certificate", name="c", fit="modes", kind_settings=LoopCertificateSettings()
+    )
     assert decrement_certificate(settings, [fitted("a", ZETA)]).verdict == "accepted"
     found = decrement_certificate(settings, [fit])
     assert (
@@ -294,7 +296,7 @@ def test_a_verdict_needs_its_confidence_either_way(chances: tuple[float | None, 
 )
 def test_the_chance_to_lie_below_two(value: float, error: float, probability: float) -> None:
     """The normal distribution at two standard errors to either side; without an error it is certain."""
-    assert below(value, error, 2.0) == pytest.approx(probability, abs=1e-7)
+    assert probability_below(value, error, 2.0) == pytest.approx(probability, abs=1e-7)
 
 
 def test_chances_in_words() -> None:

@@ -12,7 +12,12 @@ import pytest
 
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
-from labpipe.methods.magnetic_bearing.virtual_mechanics import LAWS, Levitation, Noise, VirtualMagneticRig
+from labpipe.methods.magnetic_bearing.virtual_mechanics import (
+    LAWS,
+    Levitation,
+    LevitationNoise,
+    VirtualMagneticRig,
+)
 from labpipe.methods.magnetic_bearing.virtual_rig import simulate
 from labpipe.project.simulate import load_virtual_rig
 
@@ -101,7 +106,7 @@ def test_pedestal_and_rotor_are_stable_either_way(lag: float) -> None:
 
 
 def test_the_recording_shows_the_stated_truth() -> None:
-    (run,) = simulate(replace(LOOP_RIG, noise=Noise(0.0, 0.0, 0.0)), 1, ["radial-0rpm"])
+    (run,) = simulate(replace(LOOP_RIG, noise=LevitationNoise(0.0, 0.0, 0.0)), 1, ["radial-0rpm"])
     force, x, y = np.fft.rfft(run.recording.samples[-2000:], axis=0)[1:251].T
     omega = 2 * np.pi * np.array(run.truth["frequency_hz"])
     bearings = 2 * (np.array(run.truth["k_per_bearing"]) + 1j * omega * np.array(run.truth["c_per_bearing"]))
@@ -113,5 +118,7 @@ def test_the_recording_shows_the_stated_truth() -> None:
 
 
 def test_the_shipped_rig_s_rotor_stays_within_40_um() -> None:
-    (run,) = simulate(replace(load_virtual_rig(CONFIG), noise=Noise(0.0, 0.0, 0.0)), 1, ["radial-8000rpm"])
+    (run,) = simulate(
+        replace(load_virtual_rig(CONFIG), noise=LevitationNoise(0.0, 0.0, 0.0)), 1, ["radial-8000rpm"]
+    )
     assert np.max(np.abs(run.recording.samples[:, 1:])) < 40e-6

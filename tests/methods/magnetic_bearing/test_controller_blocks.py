@@ -30,9 +30,9 @@ from labpipe.methods.magnetic_bearing.transfer import (
     Transfer,
     block_of,
     blocks_of_matrix,
-    in_series,
+    connect_series,
     matrix_of,
-    of_polynomials,
+    transfer_of_polynomials,
 )
 from labpipe.project.bearing_file import open_bearing
 from tests.methods.magnetic_bearing.certified import loop_response
@@ -129,7 +129,7 @@ def test_the_sampled_blocks_are_the_sampled_pid() -> None:
 
 def test_discrete_blocks_have_the_poles_of_the_sampled_loop() -> None:
     """The bilinear PID as coefficients of z: s = f_s ln z of the matrices that the virtual rig runs on."""
-    continuous, _ = in_series((PID,))
+    continuous, _ = connect_series((PID,))
     zeros, poles, gain = signal.bilinear_zpk(continuous.zeros, continuous.poles, continuous.gain, 20e3)
     numerator, denominator = signal.zpk2tf(zeros, poles, gain)
     block = ControllerBlock(form="polynomial", numerator=numerator, denominator=denominator, rate="20 kHz")
@@ -219,7 +219,7 @@ def test_an_integrating_controller_has_no_static_stiffness() -> None:
     with pytest.raises(ConfigError, match="integrates"):
         MagneticFile(
             kind="magnetic-bearing", mass=0.065, frequency=50.0, static_stiffness=1e3, loop=loop
-        ).levitated()
+        ).suspension()
     file = MagneticFile(
         kind="magnetic-bearing", mass=0.065, frequency=50.0, negative_stiffness=33106.0, loop=loop
     )
@@ -244,7 +244,7 @@ def test_systems_of_other_packages_are_taken(system: object) -> None:
     """python-control holds num[output][input] and dt = 0, scipy.signal one polynomial and dt = None."""
     loop = ControlLoop(controller=system)
     expected = (3j * OMEGA + 60) / (-(OMEGA**2) + 20j * OMEGA + 400)
-    np.testing.assert_allclose(in_series(loop.controller)[0].response(OMEGA), expected, rtol=1e-9)
+    np.testing.assert_allclose(connect_series(loop.controller)[0].response(OMEGA), expected, rtol=1e-9)
 
 
 def test_discrete_and_coupled_systems_are_taken() -> None:
@@ -305,7 +305,7 @@ def test_state_spaces_of_fast_filters(form: str) -> None:
 
 def test_coefficients_that_are_rounding_are_no_zeros() -> None:
     """tf2zpk of a state space leaves 1e-16 where powers cancel."""
-    assert of_polynomials([1e-17, 2.0], [1.0, 3.0]) == Transfer((), (-3.0,), 2.0)
+    assert transfer_of_polynomials([1e-17, 2.0], [1.0, 3.0]) == Transfer((), (-3.0,), 2.0)
     assert block_of(Transfer((), (-3.0,), 2.0)).poles == (-3.0,)
 
 

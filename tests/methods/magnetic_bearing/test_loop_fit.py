@@ -55,7 +55,7 @@ def test_the_gap_acts_on_both_factors() -> None:
     """k_i goes as 1 / g^2 and k_n as 1 / g^3 of a magnet whose iron has no reluctance and whose bias is a
     magnetomotive force.
     """
-    plants = [with_unknowns(bearing("hmb-geometry"), {"gap": gap}).levitated() for gap in (0.45e-3, 0.50e-3)]
+    plants = [with_unknowns(bearing("hmb-geometry"), {"gap": gap}).suspension() for gap in (0.45e-3, 0.50e-3)]
     assert plants[0].loop.force_per_current / plants[1].loop.force_per_current == pytest.approx(
         (50 / 45) ** 2
     )
@@ -65,7 +65,7 @@ def test_the_gap_acts_on_both_factors() -> None:
 def test_a_stated_pull_takes_the_place_of_the_inferred_one() -> None:
     file = bearing("hmb-magnetic")
     assert file.static_stiffness is not None
-    changed = with_unknowns(file, {"negative_stiffness": 30e3}).levitated()
+    changed = with_unknowns(file, {"negative_stiffness": 30e3}).suspension()
     assert changed.negative_stiffness == 30e3
     with pytest.raises(ConfigError, match="no 'gap'"):
         unknown(file, "gap")

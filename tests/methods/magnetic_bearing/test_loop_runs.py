@@ -12,13 +12,13 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, controller, dynamic_stiffness
-from labpipe.methods.magnetic_bearing.virtual_mechanics import Noise
+from labpipe.methods.magnetic_bearing.virtual_mechanics import LevitationNoise
 from labpipe.methods.magnetic_bearing.virtual_rig import LOOP_RUNS, RUNS, run_names, simulate
 from labpipe.project.simulate import load_virtual_rig
 
 ROOT = Path(__file__).parents[3]
 RIG = load_virtual_rig(ROOT / "configs/virtual-hmb-loop.yaml")
-QUIET = replace(RIG, noise=Noise(0.0, 0.0, 0.0))
+QUIET = replace(RIG, noise=LevitationNoise(0.0, 0.0, 0.0))
 
 
 def lines(samples: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from labpipe.estimation.settings import Support
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile
 from labpipe.methods.magnetic_bearing.certificate import certificate
 from labpipe.methods.magnetic_bearing.comparisons import prediction
-from labpipe.methods.magnetic_bearing.limits import CertificateSettings
+from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings
 from labpipe.methods.magnetic_bearing.loop_fit import LoopFit, identifiability_findings, loop_fit
 from labpipe.methods.magnetic_bearing.loop_problem import LoopObservation, View, receptance, with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
@@ -29,7 +29,7 @@ from labpipe.methods.magnetic_bearing.sensitivity import (
     loop_sensitivity,
     measured_sensitivity,
     peak_of,
-    per_injection,
+    response_per_injection,
     sensitivity_matrix,
 )
 from labpipe.methods.magnetic_bearing.stability import sensitivity
@@ -111,7 +111,7 @@ FREQUENCY = np.arange(20.0, 400.0, 2.0)
 
 
 def both_sides(noise: float = 1e-3) -> FrequencyResponse:
-    true = sensitivity(bearing("hmb-magnetic").levitated(), 2 * np.pi * FREQUENCY)
+    true = sensitivity(bearing("hmb-magnetic").suspension(), 2 * np.pi * FREQUENCY)
     ports = tuple(Port(name, name, name) for name in ("before", "after"))
     covariance = np.broadcast_to(noise**2 * np.eye(2), (FREQUENCY.size, 2, 2)).astype(complex)
     matrix = np.stack([true - 1, true], axis=1)[:, :, None]
@@ -444,7 +444,7 @@ def test_what_a_certificate_says_follows_the_channels(before: str) -> None:
         kind="certificate",
         theory=TheorySettings("b.yaml"),
         estimate=UNKNOWNS,
-        kind_settings=CertificateSettings(**own),
+        kind_settings=LoopCertificateSettings(**own),
     )
     wanted = (*UNKNOWNS, "sensitivity_peak", "phase_margin", "log_decrement_1", "pole_real_1", "f_n_1")
 
@@ -473,7 +473,7 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
         kind="certificate",
         theory=TheorySettings("b.yaml"),
         estimate=UNKNOWNS,
-        kind_settings=CertificateSettings(before=["before"], after=["after"], **OWN),
+        kind_settings=LoopCertificateSettings(before=["before"], after=["after"], **OWN),
     )
     common = replace(
         plain, outputs=tuple(uncertain(port, "gain", "delay", source="card") for port in plain.outputs)
@@ -483,7 +483,7 @@ def test_a_gain_of_all_signals_cancels_where_both_sides_of_the_sum_are_recorded(
     for other in (common, excited):
         said = certificate(asked, other, FILE)
         assert_same(said.amounts, silent.amounts)
-    alone = replace(asked, kind_settings=CertificateSettings(after=["after"], **OWN))
+    alone = replace(asked, kind_settings=LoopCertificateSettings(after=["after"], **OWN))
     assert certificate(alone, excited, FILE).budgets
 
 
@@ -566,7 +566,7 @@ def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
         )
     arm = np.zeros((5, 5), complex)
     arm[3, 4] = 1.0
-    made = per_injection(spectra(plain, (*gains, UncertainFactor("arm", 0.3, 0.01, "m", arm))))
+    made = response_per_injection(spectra(plain, (*gains, UncertainFactor("arm", 0.3, 0.01, "m", arm))))
     assert not any(port.uncertainties for port in (*made.outputs, *made.inputs))
     by_source = {error.uncertainty.source: error for error in made.errors}
     assert by_source["x.gain"].uncertainty.dof == 7.0
@@ -577,7 +577,7 @@ def test_spectra_carry_the_uncertainties_of_channels_and_of_sums() -> None:
         kind="certificate",
         theory=TheorySettings("b.yaml"),
         estimate=UNKNOWNS,
-        kind_settings=CertificateSettings(after=["after"], **OWN),
+        kind_settings=LoopCertificateSettings(after=["after"], **OWN),
     )
     ours, theirs = (
         certificate(asked, replace(made, errors=made.errors[:-1]), FILE),
@@ -671,7 +671,7 @@ def certified() -> Comparison:
         name="certificate",
         theory=TheorySettings("b.yaml"),
         estimate=UNKNOWNS,
-        kind_settings=CertificateSettings(after=["after"], before=["before"], **OWN),
+        kind_settings=LoopCertificateSettings(after=["after"], before=["before"], **OWN),
     )
     return certificate(
         asked, with_uncertainties(thinned(of_signals(np.random.default_rng(1), 0.02, LATER), 4), "gain"), FILE

@@ -43,7 +43,7 @@ def test_prediction_lies_in_the_95_percent_interval_of_nine_bands_in_ten(
     bands: list[dict[str, Any]], root: Path
 ) -> None:
     """K_eq and C_eq of configs/bearings/hmb-magnetic.yaml at the bands' centres."""
-    plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().levitated()
+    plant = open_bearing(root / "configs/bearings/hmb-magnetic.yaml").settings().suspension()
     omega = 2 * np.pi * np.array([np.mean(fit["band_hz"]) for fit in bands])
     predicted = dynamic_stiffness(plant.loop, plant.negative_stiffness, omega)
     assert omega.size == 79

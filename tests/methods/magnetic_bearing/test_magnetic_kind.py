@@ -53,9 +53,9 @@ def test_speed_is_the_frequency_unless_one_is_given() -> None:
 
 
 def test_static_stiffness_is_a_way_to_give_the_negative_one() -> None:
-    inferred = FILE.levitated()
+    inferred = FILE.suspension()
     assert (
-        replace(FILE, static_stiffness=None, negative_stiffness=inferred.negative_stiffness).levitated()
+        replace(FILE, static_stiffness=None, negative_stiffness=inferred.negative_stiffness).suspension()
         == inferred
     )
     assert "inferred from the static stiffness" in FILE.assumptions()
@@ -63,14 +63,14 @@ def test_static_stiffness_is_a_way_to_give_the_negative_one() -> None:
 
 def test_geometry_gives_both_factors_and_given_ones_replace_it() -> None:
     """k_i = 4 mu_0 N^2 A i_0 / g^2 of the electromagnet alone."""
-    plant = replace(FILE, static_stiffness=None, magnet=MAGNET).levitated()
+    plant = replace(FILE, static_stiffness=None, magnet=MAGNET).suspension()
     assert plant.loop.force_per_current == pytest.approx(
         4 * MU_0 * 180**2 * 60e-6 * 0.2 / 0.45e-3**2, rel=1e-12
     )
     assert plant.negative_stiffness == magnet_factors(MAGNET).negative_stiffness
     given = replace(
         FILE, static_stiffness=None, magnet=MAGNET, force_per_current=5.8, negative_stiffness=1e4
-    ).levitated()
+    ).suspension()
     assert (given.loop.force_per_current, given.negative_stiffness) == (5.8, 1e4)
     assert "no leakage" in replace(FILE, magnet=MAGNET).assumptions()
 
@@ -105,7 +105,7 @@ def test_well_damped_loop_has_no_warning() -> None:
 
 
 def test_verdict_is_kept_over_a_sweep() -> None:
-    assert verdict(FILE.levitated()) is verdict(replace(FILE, frequency=77.0).levitated())
+    assert verdict(FILE.suspension()) is verdict(replace(FILE, frequency=77.0).suspension())
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_the_shipped_magnet_has_the_published_static_stiffness(root: Path) -> No
     Pole area and magnet length are inferred.
     """
     file = open_bearing(root / "configs/bearings/hmb-geometry.yaml").settings()
-    plant = file.levitated()
+    plant = file.suspension()
     assert dynamic_stiffness(plant.loop, plant.negative_stiffness, np.zeros(1))[0].real == pytest.approx(
         1694, abs=1
     )

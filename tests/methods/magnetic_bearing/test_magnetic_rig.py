@@ -10,13 +10,13 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import virtual_mechanics as mechanics
 from labpipe.methods.magnetic_bearing.loop import ControlLoop
-from labpipe.methods.magnetic_bearing.virtual_mechanics import Levitation, Noise, VirtualMagneticRig
+from labpipe.methods.magnetic_bearing.virtual_mechanics import Levitation, LevitationNoise, VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import RUNS, simulate
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings
 
 RIG = VirtualMagneticRig("virtual-magnetic-rig")
-SILENT = replace(RIG, noise=Noise(0.0, 0.0, 0.0))
+SILENT = replace(RIG, noise=LevitationNoise(0.0, 0.0, 0.0))
 
 
 def test_the_pedestal_s_recorded_frf_is_its_closed_form() -> None:
@@ -115,7 +115,7 @@ def test_unknown_runs_are_named() -> None:
         with pytest.raises(ConfigError, match=said):
             Levitation(**own)
     with pytest.raises(ConfigError, match="force must not be negative"):
-        Noise(force=-0.02)
+        LevitationNoise(force=-0.02)
     with pytest.raises(ConfigError, match="no run 'pedestel'") as caught:
         simulate(RIG, 1, ["pedestel"])
     assert caught.value.hint == "did you mean 'pedestal'?"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.magnetic_bearing.virtual_mechanics import Noise, VirtualMagneticRig
+from labpipe.methods.magnetic_bearing.virtual_mechanics import LevitationNoise, VirtualMagneticRig
 from labpipe.methods.magnetic_bearing.virtual_rig import ONE_DOF, RUNS, expected_std_error, simulate
 from labpipe.simulate import linear
 
@@ -55,7 +55,7 @@ def test_standard_errors_are_the_scatter_of_repeated_runs() -> None:
 
 def test_standard_errors_follow_noise_and_stiffness_slope() -> None:
     once = expected_std_error(RIG, "pedestal", (60.0, 70.0))
-    tripled = replace(RIG, noise=Noise(3 * 0.3e-6, 3 * 0.02, 1e-6))
+    tripled = replace(RIG, noise=LevitationNoise(3 * 0.3e-6, 3 * 0.02, 1e-6))
     assert expected_std_error(tripled, "pedestal", (60.0, 70.0)) == pytest.approx(
         {name: 3 * error for name, error in once.items()}
     )
@@ -68,7 +68,7 @@ def test_damping_is_lost_in_noise_only_when_force_noise_drowns_the_lines() -> No
     # The source calls c insignificant, |t| < 2. White noise does that only from 1.58 N of force noise on: a
     # line of 0.0301 N then carries 2 * 1.58 / sqrt(5 * 2000) = 0.0316 N of noise after averaging, so that no
     # line is found at all.
-    loud = replace(RIG, noise=Noise(0.3e-6, 1.58, 1e-6))
+    loud = replace(RIG, noise=LevitationNoise(0.3e-6, 1.58, 1e-6))
     assert 3.682 / expected_std_error(loud, "pedestal", (60.0, 70.0))["c"] == pytest.approx(2.0, rel=5e-3)
     assert linear.line_amplitude(ONE_DOF["pedestal"](loud).force) < 2 * 1.58 / np.sqrt(5 * 2000)
 
@@ -78,7 +78,7 @@ def test_damping_is_lost_in_noise_only_when_force_noise_drowns_the_lines() -> No
     [
         (RIG, "static", (60.0, 70.0), "no single k and c"),
         (RIG, "pedestal", (60.1, 60.2), "no line of run 'pedestal' lies in 60.1-60.2 Hz"),
-        (replace(RIG, noise=Noise(0.0, 0.0, 0.0)), "pedestal", (60.0, 70.0), "without noise"),
+        (replace(RIG, noise=LevitationNoise(0.0, 0.0, 0.0)), "pedestal", (60.0, 70.0), "without noise"),
     ],
 )
 def test_what_has_no_standard_error_is_refused(

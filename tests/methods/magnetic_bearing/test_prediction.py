@@ -57,7 +57,7 @@ def test_the_right_loop_lies_in_the_bands() -> None:
     assert band.ratio_ci95 is not None and band.ratio_ci95[0] <= 1 <= band.ratio_ci95[1]
     # Courses beside the bands: k + j w c of the file itself.
     stiffness, damping = found.curves
-    omega, plant = 2 * np.pi * np.array(stiffness.frequency), GEOMETRY.levitated()
+    omega, plant = 2 * np.pi * np.array(stiffness.frequency), GEOMETRY.suspension()
     whole = np.array(stiffness.theory) + 1j * omega * np.array(damping.theory)
     np.testing.assert_allclose(whole, dynamic_stiffness(plant.loop, plant.negative_stiffness, omega))
 
@@ -80,7 +80,7 @@ def test_the_prediction_is_the_same_fit_of_the_theory_and_not_its_value_at_the_c
     )
     # What is left is the support, drawn within 100 N/m for both bearings.
     np.testing.assert_allclose(stiffness[0], stiffness[1], atol=200)
-    plant, centre = GEOMETRY.levitated(), 2 * np.pi * np.array([view.fits[0].centre_hz])
+    plant, centre = GEOMETRY.suspension(), 2 * np.pi * np.array([view.fits[0].centre_hz])
     assert (
         abs(stiffness[1, 0] / dynamic_stiffness(plant.loop, plant.negative_stiffness, centre)[0].real - 1)
         > 0.03

@@ -29,7 +29,7 @@ FILE = bearing("hmb-magnetic")
 FREQUENCY = np.arange(10.0, 1000.0, 2.0)
 # On a grid 100 times finer.
 FINE = np.linspace(10, 1000, 100_000)
-TRUE_PEAK = float(np.max(np.abs(sensitivity(FILE.levitated(), 2 * np.pi * FINE))))
+TRUE_PEAK = float(np.max(np.abs(sensitivity(FILE.suspension(), 2 * np.pi * FINE))))
 
 
 def response(
@@ -38,7 +38,7 @@ def response(
     """after/e = S and before/e = S - 1 with noise that both share in part; *seen*: what the record of the
     excitation makes of it.
     """
-    true = sensitivity(FILE.levitated(), 2 * np.pi * frequency)
+    true = sensitivity(FILE.suspension(), 2 * np.pi * frequency)
     mixed = noise * np.array([[1.0, 0.0], [0.8, 0.6]])
     drawn = (
         (rng.normal(size=(frequency.size, 2)) + 1j * rng.normal(size=(frequency.size, 2)))
@@ -60,7 +60,7 @@ def response(
 
 def test_intervals_of_the_lines_hold_the_truth(rng: np.random.Generator) -> None:
     measured = measured_sensitivity(response(rng), "before", "after")
-    true = np.abs(sensitivity(FILE.levitated(), 2 * np.pi * FREQUENCY))
+    true = np.abs(sensitivity(FILE.suspension(), 2 * np.pi * FREQUENCY))
     inside = np.sum(np.abs(measured.size - true) <= measured.quantile * measured.error)
     low, high = stats.binom.ppf([0.001, 0.999], FREQUENCY.size, 0.95)
     assert low <= inside <= high
@@ -115,7 +115,7 @@ def test_zone_prediction_and_what_lies_outside_the_band(rng: np.random.Generator
     np.testing.assert_allclose(measured.size - course.low, measured.quantile * measured.error, rtol=1e-9)
     np.testing.assert_allclose(course.high - measured.size, measured.quantile * measured.error, rtol=1e-9)
     np.testing.assert_allclose(
-        course.theory, np.abs(sensitivity(FILE.levitated(), 2 * np.pi * FREQUENCY)), rtol=1e-9
+        course.theory, np.abs(sensitivity(FILE.suspension(), 2 * np.pi * FREQUENCY)), rtol=1e-9
     )
     # k_n / k_0 = 33106 / 1694 at rest.
     assert "19.5 at 0 Hz, zone D" in found.statement

@@ -12,7 +12,7 @@ import pytest
 import labpipe
 from labpipe.methods.magnetic_bearing.measured_margins import (
     TELLING,
-    Course,
+    ResponseCourse,
     crest_of,
     factor,
     measured_margins,
@@ -31,7 +31,7 @@ def drawn(lines: np.ndarray, noise: float, rng: np.random.Generator) -> dict[str
     true = 1 / (1 + AXIS.loop(2j * np.pi * frequency))
     measured = true + noise * (rng.standard_normal(lines.size) + 1j * rng.standard_normal(lines.size))
     variance, none = np.full(lines.size, 2 * noise**2), np.zeros((0, lines.size), complex)
-    crest = crest_of(Course(2 * np.pi * frequency, measured, variance, none, np.inf))
+    crest = crest_of(ResponseCourse(2 * np.pi * frequency, measured, variance, none, np.inf))
     transfer = 1 / measured - 1, variance / np.abs(measured) ** 4
     margins = measured_margins(frequency, transfer, none, (np.inf, 1.96))
     of_phase = next(margin for margin, _ in margins if margin.name == "measured_phase_margin")

@@ -13,7 +13,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal import whole_covariance
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, MatrixError, Uncertain, Uncertainty
 from tests.methods.modal.structures import chain_response
 
@@ -45,7 +45,7 @@ def uncertain(known: bool) -> FrequencyResponse:
     # A mass that moves with the structure and is taken off by a sum: dH = H (w^2 dm) H.
     omega = 2 * np.pi * response.frequency[:, None, None]
     change = 5e-5 * omega**2 * response.matrix[:, :, :1] @ response.matrix[:, :1, :]
-    covariance = uncorrelated(np.full(response.matrix.shape, std**2)) if known else None
+    covariance = diagonal_covariance(np.full(response.matrix.shape, std**2)) if known else None
     return replace(
         response,
         matrix=response.matrix + noise,
@@ -118,7 +118,11 @@ def oblique(of_force: bool) -> FrequencyResponse:
         for (n, a), d in zip((("x", 0.0), ("y", np.pi / 2)), uncertainties, strict=True)
     )
     return FrequencyResponse(
-        frequency, matrix + noise, outputs, inputs, covariance=uncorrelated(np.full(matrix.shape, std**2))
+        frequency,
+        matrix + noise,
+        outputs,
+        inputs,
+        covariance=diagonal_covariance(np.full(matrix.shape, std**2)),
     )
 
 

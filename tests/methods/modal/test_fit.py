@@ -15,7 +15,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.fit import mismatch, modal_findings
-from labpipe.methods.modal.likelihood import Lines
+from labpipe.methods.modal.likelihood import FrfLines
 from labpipe.methods.modal.model_error import phase_collinearity
 from labpipe.methods.modal.poles import kept_modes, refine_with_terms, shape_p
 from labpipe.methods.modal.report import modal_blocks, modes_table
@@ -23,7 +23,7 @@ from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import DETAILS, Modes
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.report.document import Figure
 from labpipe.report.fits import single_fit_blocks
 from labpipe.spectra.measurement import measure
@@ -55,7 +55,7 @@ def with_known_noise(response: FrequencyResponse, std: float, seed: int) -> Freq
     return replace(
         response,
         matrix=response.matrix + noise,
-        covariance=uncorrelated(np.full(response.matrix.shape, std**2)),
+        covariance=diagonal_covariance(np.full(response.matrix.shape, std**2)),
     )
 
 
@@ -317,7 +317,7 @@ def test_real_modes_are_as_certain_as_they_say(known: bool) -> None:
         noise = np.random.default_rng(seed).normal(size=(2, *exact.matrix.shape)) * std / np.sqrt(2)
         response = replace(exact, matrix=exact.matrix + noise[0] + 1j * noise[1])
         if known:
-            response = replace(response, covariance=uncorrelated(np.full(exact.matrix.shape, std**2)))
+            response = replace(response, covariance=diagonal_covariance(np.full(exact.matrix.shape, std**2)))
         real, free = (
             identify(response, FitSettings("modal", model_settings=ModalSettings(shapes=kind)))[0]
             for kind in ("real", "complex")
@@ -381,7 +381,7 @@ def test_a_mode_as_broad_as_the_band_is_a_residual_term() -> None:
     response = beam(4)
     w, broad = 2 * np.pi * response.frequency, 2 * np.pi * 120.0
     smooth = (beam_shapes()[:, 1] / (broad**2 - w[:, None] ** 2 + 1j * broad * w[:, None]))[:, :, None]
-    lines = Lines(w, response.matrix + smooth, 0, np.ones(w.size))
+    lines = FrfLines(w, response.matrix + smooth, 0, np.ones(w.size))
     poles = 2 * np.pi * np.array([*(-0.01 + 1j) * BEAM_FREQUENCIES, 120.0 * (-0.5 + 0.75**0.5 * 1j)])
     refined, terms = refine_with_terms(lines, poles, np.ones((4, 1), complex))
     kept, _, notes = kept_modes(refined, terms)
@@ -541,7 +541,11 @@ def test_the_error_of_a_shape_is_that_of_the_quotient_of_two_points() -> None:
     noise = std * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape))
     ports = (Port("1", "1", "1"), Port("2", "2", "2"))
     response = FrequencyResponse(
-        frequency, clean + noise, ports, ports[:1], covariance=uncorrelated(np.full(clean.shape, 2 * std**2))
+        frequency,
+        clean + noise,
+        ports,
+        ports[:1],
+        covariance=diagonal_covariance(np.full(clean.shape, 2 * std**2)),
     )
     modes = modal(response).detail(Modes)
     powers = [-2 * n for n in range(1, modes.lower + 1)] + [2 * n for n in range(modes.upper)]
@@ -592,7 +596,9 @@ def test_a_mode_must_stand_out_of_all_places_of_the_band(decay: float, places: i
         shapes=np.array([[shape]]),
         shape_covariance=error**2 * np.eye(2)[None],
     )
-    lines = Lines(0.25 * np.arange(201) + 80, np.zeros((201, 1, 1), complex), 0, np.ones(201), shared=shared)
+    lines = FrfLines(
+        0.25 * np.arange(201) + 80, np.zeros((201, 1, 1), complex), 0, np.ones(201), shared=shared
+    )
     by_itself = np.exp(-(abs(shape) ** 2) / error**2 / 2 / shared)
     assert shape_p(refined, lines) == pytest.approx([min(1.0, by_itself * places)])
 
@@ -615,7 +621,7 @@ def test_residual_terms_do_not_stand_for_a_close_weak_mode(lines: int, seed: int
         matrix[:, 0, 0] += strength / (w_n**2 - w**2 + 2j * damping * w_n * w)
     std = 0.01 * np.abs(matrix).max()
     noise = rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)
-    covariance = uncorrelated(np.full(matrix.shape, std**2))
+    covariance = diagonal_covariance(np.full(matrix.shape, std**2))
     ports = (Port("x", "x", "x"),), (Port("f", "f", "y"),)
     fit = modal(
         FrequencyResponse(frequency, matrix + std * noise / np.sqrt(2), *ports, covariance=covariance)

@@ -14,7 +14,7 @@ from labpipe.estimation.measured import measured_part
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.modal.likelihood import Lines, Refined, ResidualTerms, by_lines, refine, remaining
+from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine, refine_lines, remaining
 from labpipe.methods.modal.model_error import modal_parameters
 from labpipe.methods.modal.poles import criterion, normal_equations, refine_with_terms, stabilisation
 from labpipe.methods.modal.whole_covariance import ModalReceptance
@@ -22,12 +22,12 @@ from labpipe.records.response import FrequencyResponse, Port
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 
-def lines_of(omega: np.ndarray, matrix: np.ndarray) -> Lines:
+def lines_of(omega: np.ndarray, matrix: np.ndarray) -> FrfLines:
     """Accelerance with the same noise at all lines."""
-    return Lines(omega, matrix, 2, np.ones(omega.size))
+    return FrfLines(omega, matrix, 2, np.ones(omega.size))
 
 
-def small_case(n_input: int = 2) -> tuple[Lines, ResidualTerms, np.ndarray, np.ndarray]:
+def small_case(n_input: int = 2) -> tuple[FrfLines, ResidualTerms, np.ndarray, np.ndarray]:
     """Three points, two modes of a part of the band, with start values near the truth."""
     structure = nine_modes(3, 1501)
     lines = (structure.frequency >= 85) & (structure.frequency <= 128)
@@ -38,7 +38,7 @@ def small_case(n_input: int = 2) -> tuple[Lines, ResidualTerms, np.ndarray, np.n
     return lines_of(omega, matrix), ResidualTerms(lines_of(omega, matrix), 1, 2), poles, participation
 
 
-def dense_residual(parameters: np.ndarray, lines: Lines, refined: Refined) -> np.ndarray:
+def dense_residual(parameters: np.ndarray, lines: FrfLines, refined: Refined) -> np.ndarray:
     """Residual over its noise: poles, free participation, shapes, residual factors of 1, s^2 and s^-2 as
     plain parameters.
     """
@@ -153,7 +153,7 @@ def test_residual_terms_leave_what_no_polynomial_can_follow(band: tuple[float, f
     away = x**3 / np.prod(x[:, None] - x + np.eye(12), axis=1)
     away /= np.linalg.norm(away)
     data = np.random.default_rng(3).standard_normal(12)
-    terms = ResidualTerms(Lines(omega, data[:, None, None] + 0j, 0, np.ones(12)), 3, 8)
+    terms = ResidualTerms(FrfLines(omega, data[:, None, None] + 0j, 0, np.ones(12)), 3, 8)
     assert terms.remainder[:, 0, 0] == pytest.approx(away * (away @ data), abs=1e-10)
 
 
@@ -202,7 +202,7 @@ def test_the_scatter_of_every_line_is_that_of_the_whole_jacobian(n_output: int) 
     lines = lines_of(lines.omega, noisy[:, :n_output])
     terms = ResidualTerms(lines, 1, 2)
     refined = refine(terms, poles, participation)
-    scatter = by_lines(terms, refined)
+    scatter = refine_lines(terms, refined)
     s = 1j * lines.omega
     response = as_response(lines.omega / (2 * np.pi), lines.matrix / (s**2)[:, None, None])
     every = np.ones(lines.omega.size, bool)
@@ -210,7 +210,7 @@ def test_the_scatter_of_every_line_is_that_of_the_whole_jacobian(n_output: int) 
     model = ModalReceptance.of(terms, refined, measured)
     weights = (s**2)[:, None] / np.sqrt(refined.noise.ravel()) + 0j
     problem = OutputError(measured, model, weights)
-    values = model.joined(refined, measured)
+    values = model.join(refined, measured)
     whole = line_scatter(problem.jacobian(values), problem.residual(values), lines.omega.size, alone=True)
     n, k = scatter.covariance.shape[0], 2 * poles.size
     std = np.sqrt(np.diag(whole.covariance))
@@ -258,7 +258,7 @@ def test_the_last_digit_of_the_start_decides_nothing() -> None:
     h = (-1j / away[0] + 1j / away[1]) @ np.array([1.0, 0.5])
     noise = rng.standard_normal(omega.size) + 1j * rng.standard_normal(omega.size)
     h = h + 0.05 * np.std(h) * noise / np.sqrt(2)
-    lines = Lines(omega, h[:, None, None], 0, np.ones(omega.size))
+    lines = FrfLines(omega, h[:, None, None], 0, np.ones(omega.size))
     terms, start = ResidualTerms(lines, 1, 3), poles[[2, 3, 1]]
     ends = [refine(terms, at, np.ones((3, 1), complex)) for at in (start, start * (1 + 1e-10))]
     assert all(end.converged for end in ends)

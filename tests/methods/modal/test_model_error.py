@@ -12,11 +12,11 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.model_error import ModelError, StatedRow
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.likelihood import Refined
-from labpipe.methods.modal.model_error import _apart, _rows, shape_record
+from labpipe.methods.modal.model_error import _find_apart, _rows, shape_record
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 POINTS = 4
 # Two hertz apart, as by a hit of half a second.
@@ -41,7 +41,7 @@ def response(seed: int, *, hysteretic: bool = False, known: bool = False) -> Fre
     std = 0.01 * float(np.sqrt(np.mean(np.abs(h) ** 2)))
     noise = std * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)) / np.sqrt(2)
     outputs = tuple(Port(f"a{n}", f"a{n}", f"{n}") for n in range(1, POINTS + 1))
-    covariance = uncorrelated(np.full(h.shape, std**2)) if known else None
+    covariance = diagonal_covariance(np.full(h.shape, std**2)) if known else None
     return FrequencyResponse(FREQUENCY, h + noise, outputs, (Port("f", "f", "1"),), covariance=covariance)
 
 
@@ -103,11 +103,11 @@ def test_a_modal_mass_has_at_least_the_error_of_its_own_frf() -> None:
         noise=np.array([[0.0004]]),
         shares={},
         second=None,
-        stated=lambda row: (0.0, -0.05 * 1.96, 0.05 * 1.96),
+        stated_interval=lambda row: (0.0, -0.05 * 1.96, 0.05 * 1.96),
     )
     m = Parameter("m_1", 1.0, "kg", std_error=0.06, ci95=(0.88, 1.12))
     shared, alone = (
-        ModelError(mixture, {"m_1": StatedRow(np.ones(1), alone=alone)}).stated([m])[0]  # type: ignore[arg-type]
+        ModelError(mixture, {"m_1": StatedRow(np.ones(1), alone=alone)}).state([m])[0]  # type: ignore[arg-type]
         for alone in (False, True)
     )
     assert (shared.std_error, alone.std_error) == (pytest.approx(0.02), 0.06)
@@ -134,11 +134,11 @@ def test_stiffness_and_damping_under_a_given_mass_follow_the_pole_alone() -> Non
         assert not rows[name].alone and not np.any(rows[name].row[2:])
         assert rows[name].row @ kept + rows[name].offset == pytest.approx(np.log(values[name]))
     ends = {"f_n": tuple(np.log([49.0, 48.0, 51.0])), "zeta": tuple(np.log([0.01, 0.008, 0.02]))}
-    apart = _apart(ends, 1, values)
+    apart = _find_apart(ends, 1, values)
     assert apart["k_1"] == pytest.approx(np.log(mass * (2 * np.pi * np.array([49.0, 48.0, 51.0])) ** 2))
     assert np.exp(apart["c_1"]) == pytest.approx(values["c_1"] * np.array([1.0, 0.8, 2.0]))
-    assert _apart(ends, 1, {"eta_1": 0.021})["eta_1"] == pytest.approx(np.log([0.02, 0.016, 0.04]))
-    assert set(_apart(ends, 1, {**values, "m_1": 3.0})) == {"f_n_1", "zeta_1"}
+    assert _find_apart(ends, 1, {"eta_1": 0.021})["eta_1"] == pytest.approx(np.log([0.02, 0.016, 0.04]))
+    assert set(_find_apart(ends, 1, {**values, "m_1": 3.0})) == {"f_n_1", "zeta_1"}
 
 
 def test_modes_of_a_loss_factor_are_listed_at_their_natural_frequency() -> None:

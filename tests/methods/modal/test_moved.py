@@ -18,7 +18,7 @@ from labpipe.methods.modal.moved import mean_of_points
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 
 FREQUENCY = np.linspace(60.0, 280.0, 881)
 MODES, ZETA, POINTS, FIXED, NOISE = np.array([100.0, 163.0, 240.0]), 0.006, 10, 3, 0.01
@@ -51,7 +51,7 @@ def roving(
         matrix + noise,
         tuple(Port(f"y{n}", f"y{n}", f"p{n}") for n in range(FIXED)),
         tuple(Port(f"h{n}", f"h{n}", f"{n + 1}") for n in range(POINTS)),
-        covariance=uncorrelated(np.full(matrix.shape, std**2)),
+        covariance=diagonal_covariance(np.full(matrix.shape, std**2)),
     )
 
 

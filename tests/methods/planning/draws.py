@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.methods.planning.campaigns import Campaign, Limits, Rig
+from labpipe.methods.planning.campaigns import PlannedCampaign, PlannedRig, RigLimits
 from labpipe.methods.planning.model import PlannedModel
 from labpipe.methods.planning.search import Wanted
 from tests.methods.planning.rigs import RIGS
@@ -12,19 +12,19 @@ from tests.methods.planning.rigs import RIGS
 SECONDS = 100.0
 
 
-def planned_rig(name: str, model: PlannedModel | None = None) -> tuple[Rig, np.ndarray, Wanted]:
+def planned_rig(name: str, model: PlannedModel | None = None) -> tuple[PlannedRig, np.ndarray, Wanted]:
     truth, noise, frequency = RIGS[name]()
     model = truth if model is None else model
     spacing = float(frequency[1] - frequency[0])
     force = {"pedestal": 1.0, "rotor": 2.0, "seal": 20e3}[name]
-    rig = Rig(
-        model, noise, Limits(force), np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing
+    rig = PlannedRig(
+        model, noise, RigLimits(force), np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing
     )
     return rig, np.round(frequency / spacing).astype(int), Wanted("minimax", np.ones(len(model.names)))
 
 
 def estimates(
-    truth: Rig, parts: list[tuple[Campaign, float]], start: np.ndarray, draws: int, seed: int
+    truth: PlannedRig, parts: list[tuple[PlannedCampaign, float]], start: np.ndarray, draws: int, seed: int
 ) -> np.ndarray:
     """Errors in variables by Gauss-Newton with known noise, (draws, n_coefficient): z = [F, X, A], e = F -
     M_s A - D X.
@@ -51,7 +51,7 @@ def estimates(
             runs.append(
                 (
                     model.elements_at(omega),
-                    model.with_expected(0 * model.expected).stiffness(omega),
+                    model.with_values(0 * model.expected).stiffness(omega),
                     noisy,
                     size**2,
                 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, Rig
+from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, PlannedRig
 from labpipe.methods.planning.search import best, flat
 from tests.methods.planning.draws import SECONDS, estimates, planned_rig
 from tests.methods.planning.rigs import RIGS
@@ -22,7 +22,7 @@ def test_predicted_errors_are_those_of_draws(name: str) -> None:
     # The largest of 12 ratios of 400 draws wanders by 3 / sqrt(2 n) = 10.6 %.
     rig, lines, wanted = planned_rig(name)
     lines = lines[::4]
-    rig = Rig(rig.model, rig.noise, rig.limits, rig.directions, rig.shakers, rig.spacing)
+    rig = PlannedRig(rig.model, rig.noise, rig.limits, rig.directions, rig.shakers, rig.spacing)
     told = best(rig, lines, wanted, (ONE_BY_ONE if rig.model.n_dof == 1 else INTERLEAVED,)).campaign
     found = np.concatenate(
         [estimates(rig, [(told, SECONDS)], rig.model.expected, DRAWS // 4, seed) for seed in range(4)]
@@ -37,14 +37,14 @@ def test_the_remedy_of_forces_at_45_degrees_works() -> None:
     # On a symmetric rig 45 deg alone tells 4 of 8 coefficients; with a second direction simulated tests end
     # near the truth.
     expected = np.array([180e3, 0.0, 0.0, 180e3, 120.0, 0.0, 0.0, 120.0])
-    rig, lines, _ = planned_rig("rotor", RIGS["rotor"]()[0].with_expected(expected))
+    rig, lines, _ = planned_rig("rotor", RIGS["rotor"]()[0].with_values(expected))
     oblique = np.array([[1.0, 1.0], [-1.0, 1.0]], complex) / np.sqrt(2)
-    both = Rig(rig.model, rig.noise, rig.limits, oblique, ("45 deg", "135 deg"), rig.spacing)
+    both = PlannedRig(rig.model, rig.noise, rig.limits, oblique, ("45 deg", "135 deg"), rig.spacing)
     told = flat(both, lines[::8], ONE_BY_ONE)
     found = estimates(both, [(told, SECONDS)], expected, 500, 4)
     # 500 draws know a standard deviation to 1 / sqrt(1000) = 3.2 %.
     np.testing.assert_allclose(found.std(axis=0), told.errors(SECONDS) * rig.model.scales, rtol=0.12)
-    one = Rig(rig.model, rig.noise, rig.limits, oblique[:1], ("45 deg",), rig.spacing)
+    one = PlannedRig(rig.model, rig.noise, rig.limits, oblique[:1], ("45 deg",), rig.spacing)
     assert np.all(np.isinf(flat(one, lines[::8], ONE_BY_ONE).errors(SECONDS)))
 
 

@@ -63,14 +63,14 @@ def test_systematic_errors_that_both_tests_have_are_no_knowledge_of_one() -> Non
     np.testing.assert_allclose(earlier.covariance(), NOISE + changes.T @ changes)
     np.testing.assert_allclose(earlier.covariance(["probe"]), NOISE + np.outer(changes[1], changes[1]))
     model = sdof(PEDESTAL, 0.79)
-    known = earlier.beside(model, 20.0, ["probe", "shaker"])
+    known = earlier.information_beside(model, 20.0, ["probe", "shaker"])
     np.testing.assert_allclose(relative_errors(known.information), [0.02, 0.05])
     # A typed coefficient is taken as it is.
     np.testing.assert_allclose(
         Earlier(("c",), NOISE[1:, 1:]).covariance_of(model), [[0, 0], [0, NOISE[1, 1]]]
     )
     with pytest.raises(ConfigError, match="states no errors"):
-        Earlier(NAMES, np.full((2, 2), np.nan)).beside(model, 20.0)
+        Earlier(NAMES, np.full((2, 2), np.nan)).information_beside(model, 20.0)
 
 
 @pytest.mark.long
@@ -121,7 +121,7 @@ def test_time_that_goals_need_beside_an_earlier_result() -> None:
     # One number: 1 / limit^2 = I_0 + t I_1.
     rig, lines, _ = planned_rig("pedestal")
     earlier = Earlier(("k",), np.array([[(1e-4 * PEDESTAL["k"]) ** 2]]))
-    known = earlier.beside(rig.model, 10.0)
+    known = earlier.information_beside(rig.model, 10.0)
     told = flat(replace(rig, earlier=known), lines[::4], ONE_BY_ONE, LEAST_CREST)
     inverse = np.linalg.inv(told.rate)
     of_k = 1 / inverse[0, 0]

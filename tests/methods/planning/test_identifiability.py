@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from labpipe.methods.planning.model import (
-    Noise,
     PlannedModel,
+    SensorDensities,
     relative_errors,
     rotor,
     sdof,
     sensitivities,
     vector_information,
 )
-from labpipe.methods.planning.uncertainty import Excitation, Identifiability, identifiability
+from labpipe.methods.planning.uncertainty import ForceVectors, Identifiability, identifiability
 from tests.methods.planning.rigs import PEDESTAL, ROTOR, pedestal, rig_rotor, seal
 
 AXES = np.eye(2, dtype=complex)
@@ -25,7 +25,7 @@ SYMMETRIC = {**ROTOR, "k_yy": 180e3, "c_yy": 120.0, "k_xy": 0.0, "k_yx": 0.0, "c
 def _found(model: PlannedModel, lines: list[float] | np.ndarray, directions: np.ndarray) -> Identifiability:
     noise = {"sdof": pedestal, "rotor-2dof": rig_rotor, "dynamic-stiffness": seal}[model.kind]()[1]
     frequency = np.repeat(np.asarray(lines, float), len(directions))
-    excitation = Excitation(frequency, np.tile(directions, (len(lines), 1)))
+    excitation = ForceVectors(frequency, np.tile(directions, (len(lines), 1)))
     return identifiability(model, noise, excitation)
 
 
@@ -94,7 +94,7 @@ def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(
     is 15 and 3.3 %.
     """
     _, noise, lines = rig_rotor()
-    force_alone = Noise(force=noise.force)
+    force_alone = SensorDensities(force=noise.force)
     for anisotropy, expected in zip((0.01, 0.03, 0.1), ratios, strict=True):
         both = 1 + anisotropy
         values = {**SYMMETRIC, "k_yy": 180e3 * both, "c_xx": damping, "c_yy": damping * both}

@@ -11,8 +11,8 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.model import (
-    Noise,
     PlannedModel,
+    SensorDensities,
     relative_errors,
     rotor,
     sdof,
@@ -23,7 +23,7 @@ from tests.methods.planning.rigs import RIGS
 
 
 def _brute_force(
-    model: PlannedModel, noise: Noise, omega: float, force: np.ndarray, idle: float = 1.0
+    model: PlannedModel, noise: SensorDensities, omega: float, force: np.ndarray, idle: float = 1.0
 ) -> np.ndarray:
     """Information per second of relative coefficients, true forces and accelerations unknown, by differences
     and a Schur complement.
@@ -35,7 +35,7 @@ def _brute_force(
     frequency = np.array([omega])
 
     def measured(coefficients: np.ndarray, unknown: np.ndarray) -> np.ndarray:
-        stiffness = model.with_expected(coefficients).stiffness(frequency)[0]
+        stiffness = model.with_values(coefficients).stiffness(frequency)[0]
         right = unknown[:n] - model.stator_mass * unknown[n:] if accelerated else unknown
         whole = np.concatenate([unknown[:n], np.linalg.solve(stiffness, right), unknown[n:]])
         return np.concatenate([whole.real, whole.imag])
@@ -89,7 +89,7 @@ def test_stiffness_of_a_spring_alone() -> None:
     # second.
     model = sdof({"k": 2e4, "c": 0.0}, 0.0)
     (found,) = vector_information(
-        sensitivities(model, Noise(force=0.1), np.array([10.0])), np.array([[3.0 + 0j]])
+        sensitivities(model, SensorDensities(force=0.1), np.array([10.0])), np.array([[3.0 + 0j]])
     )
     assert found[0, 0] == pytest.approx(9.0 / 0.01, rel=1e-12)
 
@@ -106,7 +106,7 @@ def test_a_spectrum_of_rank_one_tells_what_its_vector_tells() -> None:
 
 def test_noise_per_sample_is_a_density() -> None:
     # White noise of s per sample has its power s^2 spread over half the sampling rate.
-    noise = Noise.of_samples(2.0, 3e-6, 0.5, 800.0)
+    noise = SensorDensities.of_samples(2.0, 3e-6, 0.5, 800.0)
     assert (noise.force**2 * 400, noise.displacement**2 * 400, noise.acceleration**2 * 400) == pytest.approx(
         (4.0, 9e-12, 0.25)
     )
@@ -125,4 +125,4 @@ def test_what_is_missing_is_said() -> None:
     with pytest.raises(ConfigError, match="needs the mass of the rotor"):
         rotor({}, None)
     with pytest.raises(ConfigError, match="no sensor has noise"):
-        Noise()
+        SensorDensities()

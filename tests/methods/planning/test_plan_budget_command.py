@@ -14,9 +14,9 @@ import pyarrow.csv as pc
 import pytest
 import yaml
 
-from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, Limits, Rig
+from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, PlannedRig, RigLimits
 from labpipe.methods.planning.excitation import rehearsal
-from labpipe.methods.planning.model import MODELS, UNITS, Noise
+from labpipe.methods.planning.model import MODELS, UNITS, SensorDensities
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import Plan
 from labpipe.methods.planning.search import LEAST_CREST, SCHROEDER, flat
@@ -99,8 +99,13 @@ def budget_of(folder: Path, entries: dict[str, Any], rig: dict[str, Any], lines:
     rehearse = rehearsal(file)
     assert rehearse is not None
     model = MODELS["sdof"].model(dict(file.settings.expected), file.settings.mass)
-    bench = Rig(
-        model, Noise.of_samples(0.02, 0.3e-6, 0.0, 500.0), Limits(1.0), np.ones((1, 1), complex), ("x",), 0.5
+    bench = PlannedRig(
+        model,
+        SensorDensities.of_samples(0.02, 0.3e-6, 0.0, 500.0),
+        RigLimits(1.0),
+        np.ones((1, 1), complex),
+        ("x",),
+        0.5,
     )
     budget = rehearse(bench, flat(bench, lines, ONE_BY_ONE, LEAST_CREST).tests, [20])
     assert budget is not None
@@ -162,7 +167,7 @@ def test_a_common_gain_of_all_probes_is_that_of_every_coefficient_of_a_floating_
     rehearse = rehearsal(load_plan(write(tmp_path, entries, {"sample_rate": "1 kHz", "channels": channels})))
     assert rehearse is not None
     model, noise, _ = seal()
-    bench = Rig(model, noise, Limits(2e3), np.eye(2, dtype=complex), ("x", "y"), 1.0)
+    bench = PlannedRig(model, noise, RigLimits(2e3), np.eye(2, dtype=complex), ("x", "y"), 1.0)
     budget = rehearse(bench, flat(bench, np.arange(10, 100, 3), INTERLEAVED, SCHROEDER).tests, [20])
     assert budget is not None and [source.source for source in budget.sources] == ["calibrator"]
     np.testing.assert_allclose(np.abs(budget.changes[0] / model.expected), 0.01, rtol=2e-3)

@@ -16,7 +16,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from labpipe.artefacts.json_file import entry_of
 from labpipe.errors import DataError
-from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingRig, coefficients, motions
+from labpipe.methods.floating_bearing.virtual_rig import FilmCondition, FloatingRig, coefficients, motions
 from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.methods.planning.model import MODELS
 from labpipe.methods.planning.plan_file import read_plan
@@ -254,7 +254,7 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
     """The written signals on the virtual rig, whose shaft moves along: coefficients end within the predicted
     errors of the rig's own.
     """
-    condition = Condition(film="journal", load=5e3, speed=50.0)
+    condition = FilmCondition(film="journal", load=5e3, speed=50.0)
     rig = FloatingRig(
         "virtual-floating-rig",
         stator_mass=60.0,

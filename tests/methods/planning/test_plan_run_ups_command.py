@@ -24,9 +24,9 @@ from labpipe.methods.planning.run_ups import (
     RunUpChoice,
     RunUpPlanSettings,
     TrialSettings,
-    at_allowed_speeds,
     expected_rig,
     expected_run,
+    limit_speeds,
 )
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups.joint import family_about, fit_jointly
@@ -95,7 +95,7 @@ def test_names_of_trials_are_names_of_files() -> None:
     rig, trial = load_run_up_rotor(ROTOR), TrialSettings(unbalance=(("disc 1", 1e-5 + 0j),))
     entries = {"loads": (5.0,), "speeds": (10.0, 50.0), "step": 5.0, "dwell": 10.0, "duration": 600.0}
     settings = RunUpPlanSettings("run-ups", "r", trials=(("../a/b", trial),), rig=rig, **entries)
-    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {})).all_runs()}
+    names = {candidate.name for candidate in RunUpChoice(settings, expected_rig(settings, {})).iterate_runs()}
     assert names == {f"load-1-..-a-b-{number}" for number in (1, 2, 3)}
     with pytest.raises(ConfigError, match="two trials would write the same files"):
         RunUpPlanSettings("run-ups", "r", trials=(("a/b", trial), ("a b", trial)), rig=rig, **entries)
@@ -242,9 +242,9 @@ def test_a_run_keeps_the_speeds_within_its_limits_if_they_are_two(one_load: RunU
     orbit = np.real(expected_run(expected, run).response[..., None] * turn)
     largest = np.max(np.hypot(orbit[:, :, 0], orbit[:, :, 1]), axis=(1, 2))
     low, middle, high = np.argsort(largest)
-    kept = at_allowed_speeds(expected, run, np.sqrt(largest[middle] * largest[high]))
+    kept = limit_speeds(expected, run, np.sqrt(largest[middle] * largest[high]))
     assert kept is not None and set(kept.speed) == set(run.speed[[low, middle]])
-    assert at_allowed_speeds(expected, run, np.sqrt(largest[low] * largest[middle])) is None
+    assert limit_speeds(expected, run, np.sqrt(largest[low] * largest[middle])) is None
 
 
 def test_one_load_leaves_the_load_s_exponent_open(one_load: RunUpChoice) -> None:

@@ -14,7 +14,7 @@ import pyarrow.csv as pc
 import pytest
 import yaml
 
-from labpipe.methods.floating_bearing.virtual_rig import Condition, FloatingRig, coefficients, motions
+from labpipe.methods.floating_bearing.virtual_rig import FilmCondition, FloatingRig, coefficients, motions
 from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import RunPlan
@@ -114,7 +114,7 @@ def test_states_tested_as_planned_end_within_the_predicted_errors(labpipe: Comma
     states.
     """
     conditions = {
-        f"{load:g}N-3000rpm": Condition(film="journal", load=load, speed=50.0) for load in (2e3, 5e3)
+        f"{load:g}N-3000rpm": FilmCondition(film="journal", load=load, speed=50.0) for load in (2e3, 5e3)
     }
     rig = FloatingRig(
         "virtual-floating-rig",

@@ -10,17 +10,17 @@ import pytest
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.planning.designs import CRITERIA, optimum
 from labpipe.methods.planning.runs import (
+    CandidateRun,
     Change,
-    Condition,
-    Quantity,
     RunChoices,
+    RunQuantity,
     RunQuestion,
     best_runs,
     errors_after,
     lasting_errors,
     plan_runs,
     time_for_goals,
-    undetermined,
+    undetermined_combinations,
 )
 
 # Quadratic regression y = a + b x + c x^2 at x = -1, -.5, 0, .5, 1.
@@ -130,7 +130,7 @@ def test_what_no_run_tells_stays_as_it_was_known() -> None:
     # a + b is measured alone; both are known to 1 before: their difference stays at sqrt(2), each at 1 /
     # sqrt(2).
     choices = RunChoices(np.ones(1), np.ones((1, 2, 2)), np.eye(2))
-    (direction,) = undetermined(choices).T
+    (direction,) = undetermined_combinations(choices).T
     np.testing.assert_allclose(np.abs(direction), np.sqrt([0.5, 0.5]))
     wanted = np.array([[1.0, 0.0], [1.0, -1.0], [1.0, 1.0]])
     np.testing.assert_allclose(lasting_errors(choices, wanted), [np.sqrt(0.5), np.sqrt(2), 0.0], atol=1e-9)
@@ -151,15 +151,18 @@ def test_time_that_goals_need() -> None:
 
 
 def test_a_goal_out_of_reach_is_refused_with_the_change_that_helps() -> None:
-    one = Condition("sum", 1.0, (), np.ones((2, 2)))
-    other = Condition("difference", 1.0, (), np.array([[1.0, -1.0], [-1.0, 1.0]]))
+    one = CandidateRun("sum", 1.0, (), np.ones((2, 2)))
+    other = CandidateRun("difference", 1.0, (), np.array([[1.0, -1.0], [-1.0, 1.0]]))
     changes = (
         Change("the same again", 1, (one, one)),
         Change("the difference", 1, (one, other)),
         Change("a known b", 1, (one,), ("b",)),
         Change("both", 2, (one, other), ("b",)),
     )
-    quantities = (Quantity("a", "1", 1.0, np.array([1.0, 0.0]), 0.1), Quantity("a + b", "1", 1.0, np.ones(2)))
+    quantities = (
+        RunQuantity("a", "1", 1.0, np.array([1.0, 0.0]), 0.1),
+        RunQuantity("a + b", "1", 1.0, np.ones(2)),
+    )
     question = RunQuestion(
         ("a", "b"), np.ones(2), np.eye(2), (one,), quantities, 10.0, "minimax", remedies=changes
     )
@@ -175,10 +178,10 @@ def test_without_goals_errors_are_compared_in_units_of_the_parameters() -> None:
     # each.
     units = np.array([1e-6, np.deg2rad(1)])
     conditions = tuple(
-        Condition(name, 1.0, (), np.diag(row) / np.outer(units, units))
+        CandidateRun(name, 1.0, (), np.diag(row) / np.outer(units, units))
         for name, row in zip("ab", np.eye(2), strict=True)
     )
-    quantities = tuple(Quantity(name, "1", 1.0, row) for name, row in zip("ab", np.eye(2), strict=True))
+    quantities = tuple(RunQuantity(name, "1", 1.0, row) for name, row in zip("ab", np.eye(2), strict=True))
     plan = plan_runs(
         RunQuestion(("a", "b"), units, np.zeros((2, 2)), conditions, quantities, 6.0, "minimax"),
         "",

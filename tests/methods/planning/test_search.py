@@ -13,10 +13,10 @@ from labpipe.methods.planning.campaigns import (
     ONE_BY_ONE,
     SCHEMES,
     TOGETHER,
-    Limits,
-    Rig,
-    as_large_as_allowed,
+    PlannedRig,
+    RigLimits,
     crest_factors,
+    enlarge_to_limits,
 )
 from labpipe.methods.planning.model import relative_errors
 from labpipe.methods.planning.search import BOTH_LIMITS, LEAST_CREST, Wanted, best, flat, reference
@@ -26,11 +26,13 @@ from tests.methods.planning.rigs import RIGS
 FORCE = {"pedestal": 5.0, "rotor": 20.0, "seal": 2000.0}
 
 
-def planned_rig(name: str, displacement: float | None = None) -> tuple[Rig, np.ndarray, Wanted]:
+def planned_rig(name: str, displacement: float | None = None) -> tuple[PlannedRig, np.ndarray, Wanted]:
     model, noise, frequency = RIGS[name]()
     spacing = float(frequency[1] - frequency[0])
-    limits = Limits(FORCE[name], displacement)
-    rig = Rig(model, noise, limits, np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing)
+    limits = RigLimits(FORCE[name], displacement)
+    rig = PlannedRig(
+        model, noise, limits, np.eye(model.n_dof, dtype=complex), ("x", "y")[: model.n_dof], spacing
+    )
     return rig, np.round(frequency / spacing).astype(int), Wanted("minimax", np.ones(len(model.names)))
 
 
@@ -50,8 +52,8 @@ def test_both_shakers_at_once_tell_what_their_powers_tell(scheme: str) -> None:
 def test_signals_are_as_large_as_the_limits_allow() -> None:
     rig, lines, _ = planned_rig("rotor", 20e-6)
     (test,) = SCHEMES[TOGETHER](lines, np.ones((lines.size, 2)), rig.shakers)
-    large = as_large_as_allowed(rig, test)
-    over = peaks(large.lines, rig.over_limits(large).sum(axis=1))
+    large = enlarge_to_limits(rig, test)
+    over = peaks(large.lines, rig.amplitudes_over_limits(large).sum(axis=1))
     assert over.max() == pytest.approx(1.0, rel=1e-9)
     assert np.all(crest_factors(large) >= np.sqrt(2))
 
@@ -69,7 +71,9 @@ def test_a_floor_keeps_every_line_excited() -> None:
 @pytest.mark.long
 def test_crest_factor_out_of_reach() -> None:
     rig, lines, wanted = planned_rig("pedestal")
-    narrow = Rig(rig.model, rig.noise, Limits(5.0, None, 1.4143), rig.directions, rig.shakers, rig.spacing)
+    narrow = PlannedRig(
+        rig.model, rig.noise, RigLimits(5.0, None, 1.4143), rig.directions, rig.shakers, rig.spacing
+    )
     with pytest.raises(ConfigError, match="no design has a crest factor of"):
         best(narrow, lines[::5], wanted, (ONE_BY_ONE,))
 

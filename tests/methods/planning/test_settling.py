@@ -133,14 +133,14 @@ def test_the_shift_is_that_of_a_fit_of_what_is_left(skip: int) -> None:
     """Against an independent calculation: least squares, weighted as the noise is, on the average of sampled
     periods with free motion.
     """
-    from labpipe.methods.planning.campaigns import Limits, Multisines, Rig, equal_times, settling
-    from labpipe.methods.planning.model import Noise, sdof
+    from labpipe.methods.planning.campaigns import Multisines, PlannedRig, RigLimits, equal_times, settling
+    from labpipe.methods.planning.model import SensorDensities, sdof
 
-    noise, spacing, periods, rate = Noise(1e-3, 2e-7), 0.5, 6, 2000.0
-    rig = Rig(
+    noise, spacing, periods, rate = SensorDensities(1e-3, 2e-7), 0.5, 6, 2000.0
+    rig = PlannedRig(
         sdof({"k": STIFFNESS, "c": DAMPING}, MASS),
         noise,
-        Limits(1.0),
+        RigLimits(1.0),
         np.ones((1, 1), complex),
         ("x",),
         spacing,

@@ -15,7 +15,7 @@ from labpipe.methods.planning.settings import NoiseSettings
 from labpipe.methods.planning.states import (
     COEFFICIENTS,
     BearingState,
-    Common,
+    CommonNumber,
     StatePlanSettings,
     StateTest,
     question_of,
@@ -34,7 +34,7 @@ FILM = {
 }
 # Made up: the film stiffens with load, clearance and viscosity do not change it alike in all states.
 LOADS, POWERS = (2e3, 5e3, 9e3), (-2.0, -2.6, -3.4)
-COMMON = [Common("clearance", 1e-4, "m"), Common("viscosity", 0.03, "Pa.s", 0.003)]
+COMMON = [CommonNumber("clearance", 1e-4, "m"), CommonNumber("viscosity", 0.03, "Pa.s", 0.003)]
 
 
 def settings(**entries: object) -> StatePlanSettings:

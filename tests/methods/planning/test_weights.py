@@ -10,8 +10,8 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
-from labpipe.methods.planning.campaigns import ONE_BY_ONE, TOGETHER, Limits, Rig
-from labpipe.methods.planning.model import Noise, floating, sdof
+from labpipe.methods.planning.campaigns import ONE_BY_ONE, TOGETHER, PlannedRig, RigLimits
+from labpipe.methods.planning.model import SensorDensities, floating, sdof
 from labpipe.methods.planning.plan import weighting_factor
 from labpipe.methods.planning.search import flat
 from labpipe.records.recording import Channel, Recording
@@ -34,8 +34,10 @@ def ratio(name: str, periods: int, draws: int) -> float:
         model, rate, period, force, scheme = floating(SEAL, 60.0), 250.0, 0.5, 2e3, TOGETHER
         lines, noise = np.arange(5, 50), {"force": 2.0, "displacement": 0.2e-6, "acceleration": 0.05}
     axes = ("x", "y")[: model.n_dof]
-    density = Noise.of_samples(noise["force"], noise["displacement"], noise.get("acceleration", 0.0), rate)
-    rig = Rig(model, density, Limits(force), np.eye(model.n_dof, dtype=complex), axes, 1 / period)
+    density = SensorDensities.of_samples(
+        noise["force"], noise["displacement"], noise.get("acceleration", 0.0), rate
+    )
+    rig = PlannedRig(model, density, RigLimits(force), np.eye(model.n_dof, dtype=complex), axes, 1 / period)
     told = flat(rig, lines, scheme)
     (test,) = told.tests
     applied = test.forces @ rig.directions

@@ -31,11 +31,11 @@ def two_stages(name: str, count: int) -> tuple[list[float], list[float]]:
         lines = lines[(lines >= 104) & (lines < 160)] if name == "pedestal" else lines[:: STEP[name]]
         scheme = ONE_BY_ONE if nominal.model.n_dof == 1 else INTERLEAVED
         size = rng.uniform(0.7, 1.3, nominal.model.expected.size)
-        true_model = nominal.model.with_expected(nominal.model.expected * size)
+        true_model = nominal.model.with_values(nominal.model.expected * size)
         truth, _, _ = planned_rig(name, true_model)
         first = flat(truth, lines, scheme)
         (estimate,) = estimates(truth, [(first, 0.2 * SECONDS)], true_model.expected, 1, number)
-        estimated = planned_rig(name, true_model.with_expected(estimate))[0]
+        estimated = planned_rig(name, true_model.with_values(estimate))[0]
         second = best(estimated, lines, Wanted("minimax", wanted.goals, 0.0), (scheme,)).campaign
         ideal = best(truth, lines, wanted, (scheme,)).campaign
         both = 0.2 * first.information + 0.8 * truth.rate(second.tests[0])

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.ring_down.amplitude_law import amplitude, fitted_law, over_amplitude, travel
+from labpipe.methods.ring_down.amplitude_law import amplitude, evaluate_over_amplitude, fitted_law, travel
 from labpipe.methods.ring_down.fit import peak_decrement, trace
 from labpipe.methods.ring_down.likelihood import judge, most_likely, pieces_of, portmanteau
 from labpipe.records.spectra import FreeDecays
@@ -136,7 +136,7 @@ def test_stretches_show_the_law() -> None:
     within a stretch.
     """
     pieces, fit = fit_of([slipping(1.0, 0.3) + 1e-9 * np.random.default_rng(1).standard_normal(times().size)])
-    course = over_amplitude(pieces, fit, 0, 0)
+    course = evaluate_over_amplitude(pieces, fit, 0, 0)
     assert course.amplitude.size > 10 and np.all(np.diff(course.amplitude) > 0)
     np.testing.assert_allclose(course.damping, 0.0036 + 0.003 * course.amplitude, rtol=0.03)
     np.testing.assert_allclose(course.frequency, 40 + TURN * course.amplitude / (2 * np.pi), rtol=2e-4)
@@ -144,7 +144,7 @@ def test_stretches_show_the_law() -> None:
 
 def test_stretches_of_a_linear_mode_agree_with_it_within_their_errors() -> None:
     pieces, fit = fit_of(noisy([motion(((40.0, 0.005, 1.0, 0.3),), times())], 2))
-    course = over_amplitude(pieces, fit, 0, 0)
+    course = evaluate_over_amplitude(pieces, fit, 0, 0)
     ratios = np.concatenate(
         [
             (course.damping - 0.005) / course.damping_std_error,

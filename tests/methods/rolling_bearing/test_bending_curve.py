@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.loads import RigidShaft, in_series, transfer_matrix
+from labpipe.methods.rolling_bearing.loads import RigidShaft, add_shaft_bending, transfer_matrix
 
 SHAFT = RigidShaft(2.45, 1.24e-2, 1.24e-2)
 K = np.diag([2.1e8, 2.2e8, 1.7e7, 7.5e3, 7.6e3])
@@ -19,20 +19,20 @@ K[1, 3] = K[3, 1] = 1.09e6
 def test_the_series_is_the_sum_of_compliances() -> None:
     bending = 1.176e8
     literal = np.linalg.inv(np.linalg.inv(K) + np.diag([1, 1, 0, 0, 0]) / bending)
-    np.testing.assert_allclose(in_series(K, bending), literal, rtol=1e-10, atol=1e-6)
+    np.testing.assert_allclose(add_shaft_bending(K, bending), literal, rtol=1e-10, atol=1e-6)
 
 
 def test_an_uncoupled_radial_coefficient_obeys_the_series_formula_and_the_rest_stays() -> None:
     plain = np.diag(np.diag(K))
-    total = in_series(plain, 1e8).real
+    total = add_shaft_bending(plain, 1e8).real
     assert total[0, 0] == pytest.approx(2.1e8 * 1e8 / 3.1e8, rel=1e-12)
     np.testing.assert_allclose(np.diag(total)[2:], np.diag(plain)[2:], rtol=1e-15)
 
 
 def test_a_rigid_shaft_changes_nothing_and_singular_stiffness_is_taken() -> None:
-    np.testing.assert_array_equal(in_series(K, np.inf), K)
+    np.testing.assert_array_equal(add_shaft_bending(K, np.inf), K)
     free = np.diag([1e8, 1e8, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(np.diag(in_series(free, 1e8)), [5e7, 5e7, 0, 0, 0], rtol=1e-12)
+    np.testing.assert_allclose(np.diag(add_shaft_bending(free, 1e8)), [5e7, 5e7, 0, 0, 0], rtol=1e-12)
 
 
 def test_without_bending_it_is_the_rigid_transfer_matrix() -> None:
@@ -63,6 +63,6 @@ def test_the_bent_curve_is_that_of_a_massless_node_between_bearing_and_shaft() -
 
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ConfigError, match="bending stiffness"):
-        in_series(K, 0.0)
+        add_shaft_bending(K, 0.0)
     with pytest.raises(FitError, match="singular"):
         transfer_matrix(SHAFT, np.zeros((5, 5)), np.array([0.0]), 0.0, np.inf)

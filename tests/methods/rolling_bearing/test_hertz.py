@@ -14,12 +14,12 @@ from labpipe.errors import ConfigError
 from labpipe.methods.rolling_bearing.settings import (
     STEEL,
     BallGeometry,
-    Material,
+    ContactMaterial,
     ellipse_ratio,
-    in_series,
     line_contact,
     point_contact,
     roller_stiffness_constant,
+    series_constant,
 )
 
 
@@ -51,13 +51,13 @@ def test_ellipses_against_the_integrals_of_hertz(k: float) -> None:
     approach = k / 2 * integral(lambda s: 1.0)
     along, across = k * integral(lambda s: 1 / (1 + s)), k * integral(lambda s: 1 / (k**2 + s))
     load = 2 / 3 * math.pi * k
-    unit = Material(2 * (1 - 0.3**2), 0.3)
+    unit = ContactMaterial(2 * (1 - 0.3**2), 0.3)
     assert ellipse_ratio(along / across) == pytest.approx(k, rel=1e-8)
     assert point_contact(along, across, unit, unit) == pytest.approx(load / approach**1.5, rel=1e-8)
 
 
 def test_the_order_of_curvatures_and_bodies_does_not_matter() -> None:
-    ceramic = Material(310e9, 0.26)
+    ceramic = ContactMaterial(310e9, 0.26)
     assert point_contact(300, 7, STEEL, ceramic) == pytest.approx(
         point_contact(7, 300, ceramic, STEEL), rel=1e-14
     )
@@ -88,11 +88,11 @@ def test_stiffer_balls_and_size() -> None:
     assert twice.stiffness_constant() == pytest.approx(
         math.sqrt(2) * geometry.stiffness_constant(), rel=1e-12
     )
-    double = Material(412e9, 0.3)
+    double = ContactMaterial(412e9, 0.3)
     assert geometry.stiffness_constant(double, double) == pytest.approx(
         2 * geometry.stiffness_constant(), rel=1e-12
     )
-    assert geometry.stiffness_constant(balls=Material(310e9, 0.26)) > geometry.stiffness_constant()
+    assert geometry.stiffness_constant(balls=ContactMaterial(310e9, 0.26)) > geometry.stiffness_constant()
 
 
 def test_rollers_after_palmgren() -> None:
@@ -102,7 +102,7 @@ def test_rollers_after_palmgren() -> None:
     delta = 3.84e-5 * 1000**0.9 / 10**0.8 * 1e-3
     assert line_contact(10e-3) * delta ** (10 / 9) == pytest.approx(1000, rel=1e-12)
     assert roller_stiffness_constant(10e-3) * (2 * delta) ** (10 / 9) == pytest.approx(1000, rel=1e-12)
-    assert in_series((3.0,), 1.5) == pytest.approx(3.0)
+    assert series_constant((3.0,), 1.5) == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_rollers_after_palmgren() -> None:
             "the ball diameter must lie between zero and the pitch diameter",
         ),
         (lambda: BallGeometry(10e-3, 50e-3, inner_conformity=0.5), "inner_conformity must lie above 0.5"),
-        (lambda: Material(-1.0), "Young's modulus above zero"),
+        (lambda: ContactMaterial(-1.0), "Young's modulus above zero"),
         (lambda: point_contact(100, -1), "do not touch in a point"),
         (lambda: line_contact(0.0), "the roller length must be above zero"),
     ],

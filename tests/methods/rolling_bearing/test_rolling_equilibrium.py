@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.rolling_bearing.equilibrium import Problem, equilibrium, solve
+from labpipe.methods.rolling_bearing.equilibrium import EquilibriumProblem, equilibrium, solve
 from labpipe.methods.rolling_bearing.loads import DOFS, ElementFrame, RollingBearing
 from tests.methods.rolling_bearing.displaced_rings import bearing_loads, load_vector
 
@@ -64,7 +64,7 @@ def test_taper_rollers_carry_what_lies_between_their_normals(taper: RollingBeari
 
 def test_the_solution_does_not_depend_on_the_start(deep_groove: RollingBearing, rng) -> None:
     load = np.tile([100.0, -2000.0, 700.0, 20.0, 0.0], (50, 1))
-    problem = Problem(deep_groove, ElementFrame.at(deep_groove.angles(), 1.0), load, np.arange(5))
+    problem = EquilibriumProblem(deep_groove, ElementFrame.at(deep_groove.angles(), 1.0), load, np.arange(5))
     held_nowhere, solved = solve(problem, np.zeros((50, 5)))
     started, also = solve(problem, rng.normal(scale=2e-4, size=(50, 5)))
     assert solved.all() and also.all()

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.methods.rolling_bearing import equilibrium as rolling_newton
 from labpipe.methods.rolling_bearing.equilibrium import (
-    Problem,
+    EquilibriumProblem,
     line_search,
     newton_step,
     solve,
@@ -25,12 +25,12 @@ def bearing(request: pytest.FixtureRequest) -> RollingBearing:
     return request.getfixturevalue(request.param)
 
 
-def problem_of(bearing: RollingBearing, loads: np.ndarray) -> Problem:
-    return Problem(bearing, ElementFrame.at(bearing.angles(), 1.0), loads, np.arange(5))
+def problem_of(bearing: RollingBearing, loads: np.ndarray) -> EquilibriumProblem:
+    return EquilibriumProblem(bearing, ElementFrame.at(bearing.angles(), 1.0), loads, np.arange(5))
 
 
 @pytest.fixture
-def loaded(bearing: RollingBearing, rng: np.random.Generator) -> Problem:
+def loaded(bearing: RollingBearing, rng: np.random.Generator) -> EquilibriumProblem:
     return problem_of(bearing, rng.normal(scale=300, size=(40, 5)))
 
 
@@ -38,7 +38,7 @@ def positions(rng: np.random.Generator, n_case: int = 40) -> np.ndarray:
     return rng.normal(scale=3e-5, size=(n_case, 5))
 
 
-def test_the_residual_is_the_slope_of_the_potential(loaded: Problem, rng) -> None:
+def test_the_residual_is_the_slope_of_the_potential(loaded: EquilibriumProblem, rng) -> None:
     """dPhi/du along a random direction by central differences."""
     u, direction, step = positions(rng), rng.normal(size=(40, 5)), 1e-9
     slope = (loaded.at(u + step * direction).potential - loaded.at(u - step * direction).potential) / (
@@ -48,14 +48,14 @@ def test_the_residual_is_the_slope_of_the_potential(loaded: Problem, rng) -> Non
     np.testing.assert_allclose(slope, expected, rtol=1e-4, atol=1e-2)
 
 
-def test_the_potential_is_convex(loaded: Problem, rng) -> None:
+def test_the_potential_is_convex(loaded: EquilibriumProblem, rng) -> None:
     """Phi at the middle of any two positions lies below the mean of their values."""
     here, there = positions(rng), 5 * positions(rng)
     middle = loaded.at((here + there) / 2).potential
     assert np.all(middle <= (loaded.at(here).potential + loaded.at(there).potential) / 2 + 1e-15)
 
 
-def test_steps_descend_and_are_no_longer_than_the_reach(loaded: Problem, rng) -> None:
+def test_steps_descend_and_are_no_longer_than_the_reach(loaded: EquilibriumProblem, rng) -> None:
     trial = loaded.at(positions(rng))
     step = newton_step(loaded, trial)
     assert np.all(np.einsum("nf,nf->n", trial.residual, step) > 0)
@@ -70,7 +70,7 @@ def test_where_nothing_resists_the_step_is_the_reach_along_the_load(deep_groove:
     )
 
 
-def test_the_line_search_lowers_the_potential(loaded: Problem, rng) -> None:
+def test_the_line_search_lowers_the_potential(loaded: EquilibriumProblem, rng) -> None:
     """Also from far away, where the full step overshoots by far."""
     for far in (1.0, 10.0):
         trial = loaded.at(far * positions(rng))
@@ -91,7 +91,7 @@ def test_a_step_that_overshoots_is_cut(deep_groove: RollingBearing) -> None:
 
 def test_held_dofs_stay_where_they_are(deep_groove: RollingBearing) -> None:
     held = np.array([[0.0, 0.0, 2e-5, 0.0, -1e-5]])
-    problem = Problem(
+    problem = EquilibriumProblem(
         deep_groove,
         ElementFrame.at(deep_groove.angles(), 1.0),
         np.array([[300.0, 0, 0, 0, 0]]),
@@ -112,7 +112,7 @@ def test_the_axial_start_is_near_the_axial_solution(
     problem = (
         problem_of(bearing, loads)
         if bearing.is_ball
-        else Problem(bearing, problem_of(bearing, loads).frame, loads, np.arange(3))
+        else EquilibriumProblem(bearing, problem_of(bearing, loads).frame, loads, np.arange(3))
     )
     start = starting_point(problem, np.zeros((1, 5)))
     u, solved = solve(problem, np.zeros((1, 5)))
@@ -125,7 +125,7 @@ def test_a_dozen_steps_as_a_rule(deep_groove: RollingBearing, mixed_loads, rng, 
     counts = []
     taken = [0]
 
-    def counted(problem: Problem, trial: rolling_newton.Trial) -> np.ndarray:
+    def counted(problem: EquilibriumProblem, trial: rolling_newton.Trial) -> np.ndarray:
         taken[0] += 1
         return newton_step(problem, trial)
 

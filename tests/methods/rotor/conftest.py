@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, NodeSupport, Rotor, ShaftElement, Sleeve
 
 MILLIMETRE = 1e-3
 
@@ -18,11 +18,11 @@ def overhung() -> Rotor:
 
 
 @pytest.fixture(scope="session")
-def oil_films() -> tuple[Support, ...]:
+def oil_films() -> tuple[NodeSupport, ...]:
     """Two bearings with cross-coupled stiffness, stable; our own numbers."""
     stiffness = np.array([[2e6, 1e5], [-3e5, 3e6]])
     damping = np.array([[900.0, -100.0], [-100.0, 1400.0]])
-    return Support(1, stiffness, damping), Support(4, 1.5 * stiffness, damping)
+    return NodeSupport(1, stiffness, damping), NodeSupport(4, 1.5 * stiffness, damping)
 
 
 @pytest.fixture(scope="session")

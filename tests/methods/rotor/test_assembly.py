@@ -8,10 +8,10 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.shaft import (
     Disc,
+    NodeSupport,
     Rotor,
     ShaftElement,
     Sleeve,
-    Support,
     bearing_loads,
     free_rotor,
     plane_inertia,
@@ -106,7 +106,7 @@ def test_proportional_damping_is_that_of_the_shaft_alone(overhung: Rotor) -> Non
 
 def test_supports_enter_at_their_node(overhung: Rotor) -> None:
     k, c = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[5.0, 6.0], [7.0, 8.0]])
-    free, held = free_rotor(overhung), supported_rotor(overhung, [Support(2, k, c)])
+    free, held = free_rotor(overhung), supported_rotor(overhung, [NodeSupport(2, k, c)])
     np.testing.assert_allclose((held.stiffness - free.stiffness)[4:6, 4:6], k, atol=1e-6)
     np.testing.assert_allclose((held.damping - free.damping)[4:6, 4:6], c, atol=1e-9)
 

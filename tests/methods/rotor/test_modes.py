@@ -7,14 +7,14 @@ import pytest
 
 from labpipe.errors import FitError
 from labpipe.methods.rotor.response import eigenvalues, growth_rate, modes, onset_speed
-from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Support, supported_rotor
+from labpipe.methods.rotor.shaft import Disc, NodeSupport, Rotor, ShaftElement, supported_rotor
 
 
-def soft(node: int, damping: float = 0.0) -> Support:
-    return Support(node, 1e5 * np.eye(2), damping * np.eye(2))
+def soft(node: int, damping: float = 0.0) -> NodeSupport:
+    return NodeSupport(node, 1e5 * np.eye(2), damping * np.eye(2))
 
 
-def test_every_mode_solves_its_equation(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
+def test_every_mode_solves_its_equation(overhung: Rotor, oil_films: tuple[NodeSupport, ...]) -> None:
     matrices = supported_rotor(overhung, oil_films)
     roots, vectors = eigenvalues(matrices, 500.0)
     for root, vector in zip(roots, vectors.T, strict=True):
@@ -40,7 +40,7 @@ def test_an_isotropic_rotor_at_rest_has_pairs_that_split_with_speed(overhung: Ro
     np.testing.assert_allclose(np.abs(fast.whirl[:4]), 1, atol=1e-6)
 
 
-def test_shapes_have_a_largest_deflection_of_one(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
+def test_shapes_have_a_largest_deflection_of_one(overhung: Rotor, oil_films: tuple[NodeSupport, ...]) -> None:
     found = modes(overhung, oil_films, 200.0)
     assert found.shapes.shape == (found.eigenvalues.size, 5, 2)
     np.testing.assert_allclose(np.abs(found.shapes).max(axis=(1, 2)), 1)
@@ -55,7 +55,7 @@ def test_a_rigid_mass_on_a_damped_bearing_rings_as_a_single_degree_of_freedom() 
     discs = (Disc(1, 0.5, 0.0, 0.0), Disc(2, 1.0, 0.0, 0.0), Disc(3, 0.5, 0.0, 0.0))
     rotor = Rotor((ShaftElement(0.1, 0.05), ShaftElement(0.1, 0.05)), discs)
     shaft = 7800 * np.pi / 4 * 0.05**2 * 0.2
-    bearings = [Support(node, 1e4 * np.eye(2), 10 * np.eye(2)) for node in (1, 3)]
+    bearings = [NodeSupport(node, 1e4 * np.eye(2), 10 * np.eye(2)) for node in (1, 3)]
     found = modes(rotor, bearings, 0.0)
     omega = np.sqrt(2e4 / (2 + shaft))
     natural = np.abs(found.eigenvalues)
@@ -64,10 +64,10 @@ def test_a_rigid_mass_on_a_damped_bearing_rings_as_a_single_degree_of_freedom() 
     np.testing.assert_allclose(found.damping_ratio[k], 20 / (2 * omega * (2 + shaft)), rtol=5e-3)
 
 
-def jeffcott(cross: float) -> tuple[Rotor, list[Support]]:
+def jeffcott(cross: float) -> tuple[Rotor, list[NodeSupport]]:
     rotor = Rotor((ShaftElement(0.1, 0.05), ShaftElement(0.1, 0.05)), (Disc(2, 10.0, 0.01, 0.02),))
     k = np.array([[1e5, cross], [-cross, 1e5]])
-    return rotor, [Support(node, k, 50.0 * np.eye(2)) for node in (1, 3)]
+    return rotor, [NodeSupport(node, k, 50.0 * np.eye(2)) for node in (1, 3)]
 
 
 def test_cross_coupling_turns_unstable_at_c_times_omega() -> None:

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve, Support
+from labpipe.methods.rotor.shaft import (
+    ALUMINIUM,
+    STEEL,
+    Disc,
+    Material,
+    NodeSupport,
+    Rotor,
+    ShaftElement,
+    Sleeve,
+)
 
 
 def test_tube_by_hand() -> None:
@@ -62,8 +71,8 @@ SHAFT = (ShaftElement(0.1, 0.02),)
         (lambda: Disc(1, 0.0, 1.0, 1.0), "mass of a disc"),
         (lambda: Disc(1, 1.0, -1.0, 1.0), "negative moment"),
         (lambda: Disc.of_dimensions(2, 0.05, 0.04, 0.01, STEEL), "disc on node 2 has a bore"),
-        (lambda: Support(1, np.eye(3), np.eye(2)), "2 x 2"),
-        (lambda: Support(1, np.eye(2), np.full((2, 2), np.nan)), "2 x 2 finite"),
+        (lambda: NodeSupport(1, np.eye(3), np.eye(2)), "2 x 2"),
+        (lambda: NodeSupport(1, np.eye(2), np.full((2, 2), np.nan)), "2 x 2 finite"),
         (lambda: Rotor(()), "at least one shaft element"),
         (lambda: Rotor(SHAFT, alpha=-1.0), "cannot be negative"),
         (lambda: Rotor(SHAFT, (Disc(3, 1.0, 1.0, 1.0),)), "disc sits on node 3"),

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import condensed_rotor, inverse, pinned_rotor, unbalance_forces
 from labpipe.methods.rotor.response import dynamic_stiffness, unbalance_response
-from labpipe.methods.rotor.shaft import Rotor, RotorMatrices, ShaftElement, Support
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, RotorMatrices, ShaftElement
 from tests.methods.rotor.falah_cases import PINNED, ROTOR, RPM, UNBALANCE, film
 
 SPEED = np.arange(400.0, 2800, 100) * RPM
@@ -99,9 +99,9 @@ def test_pins_equal_very_stiff_springs_with_all_dofs_kept() -> None:
     ten thousand.
     """
     stiffness, damping = film()(SPEED)
-    pins = [Support(node, 1e11 * np.eye(2), np.zeros((2, 2))) for node in (1, 5)]
+    pins = [NodeSupport(node, 1e11 * np.eye(2), np.zeros((2, 2))) for node in (1, 5)]
     expected = [
-        unbalance_response(ROTOR, [*pins, Support(3, k, c)], np.array([one]), UNBALANCE, ROTOR.dofs(4))[0]
+        unbalance_response(ROTOR, [*pins, NodeSupport(3, k, c)], np.array([one]), UNBALANCE, ROTOR.dofs(4))[0]
         for one, k, c in zip(SPEED[::6], stiffness[::6], damping[::6], strict=True)
     ]
     np.testing.assert_allclose(CONDENSED.response(stiffness, damping)[::6, 4:], expected, rtol=1e-4)

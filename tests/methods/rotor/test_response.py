@@ -12,14 +12,14 @@ from labpipe.methods.rotor.response import (
     reduced_rotor,
     unbalance_response,
 )
-from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Support, supported_rotor
+from labpipe.methods.rotor.shaft import Disc, NodeSupport, Rotor, ShaftElement, supported_rotor
 from tests.methods.rotor.whole_response import frequency_response
 
 LINES = np.linspace(3.0, 300.0, 40)
 SPEED = 400.0
 
 
-def test_reduced_rotor_equals_the_dense_one(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
+def test_reduced_rotor_equals_the_dense_one(overhung: Rotor, oil_films: tuple[NodeSupport, ...]) -> None:
     """The Woodbury update against the whole rotor solved with its bearings, every kept node to every
     other.
     """
@@ -34,7 +34,7 @@ def test_reduced_rotor_equals_the_dense_one(overhung: Rotor, oil_films: tuple[Su
     np.testing.assert_array_equal(at_once.response(5, 1), at_once.receptance[:, 4:6, 0:2])
 
 
-def test_response_is_the_sum_over_the_modes(overhung: Rotor, oil_films: tuple[Support, ...]) -> None:
+def test_response_is_the_sum_over_the_modes(overhung: Rotor, oil_films: tuple[NodeSupport, ...]) -> None:
     """H = sum_r phi_r (left_r) / (j w - lambda_r), from the eigenvectors of the first-order form: an
     independent route.
     """
@@ -51,7 +51,7 @@ def test_response_is_the_sum_over_the_modes(overhung: Rotor, oil_films: tuple[Su
 
 
 def test_reciprocity_without_spin_and_cross_coupling(overhung: Rotor) -> None:
-    supports = [Support(node, np.diag([1e6, 2e6]), np.diag([100.0, 200.0])) for node in (1, 4)]
+    supports = [NodeSupport(node, np.diag([1e6, 2e6]), np.diag([100.0, 200.0])) for node in (1, 4)]
     dofs = overhung.dofs(2) + overhung.dofs(5)
     h = frequency_response(overhung, supports, LINES, 0.0, dofs, dofs)
     np.testing.assert_allclose(h, h.swapaxes(1, 2), atol=1e-10 * np.abs(h).max())
@@ -60,7 +60,7 @@ def test_reciprocity_without_spin_and_cross_coupling(overhung: Rotor) -> None:
 
 
 def test_unbalance_response_is_the_response_to_a_turning_force(
-    overhung: Rotor, oil_films: tuple[Support, ...]
+    overhung: Rotor, oil_films: tuple[NodeSupport, ...]
 ) -> None:
     speeds = np.array([100.0, 250.0])
     outputs = overhung.dofs(5)
@@ -74,7 +74,7 @@ def test_unbalance_response_is_the_response_to_a_turning_force(
 
 
 def test_an_isotropic_rotor_answers_unbalance_with_a_forward_circle(overhung: Rotor) -> None:
-    supports = [Support(node, 1e6 * np.eye(2), 100.0 * np.eye(2)) for node in (1, 4)]
+    supports = [NodeSupport(node, 1e6 * np.eye(2), 100.0 * np.eye(2)) for node in (1, 4)]
     y, z = unbalance_response(overhung, supports, np.array([200.0]), {5: 1e-5}, overhung.dofs(5))[0]
     np.testing.assert_allclose(z, -1j * y, rtol=1e-8)
     forward, backward = forward_backward_motion(np.array([y, z]))
@@ -90,7 +90,7 @@ def test_an_elliptic_orbit_is_the_sum_of_its_two_circles() -> None:
 def test_far_above_resonance_the_disc_turns_about_its_centre_of_mass() -> None:
     """|displacement| -> eccentricity u / m, opposite to the unbalance."""
     rotor = Rotor((ShaftElement(0.1, 2e-3), ShaftElement(0.1, 2e-3)), (Disc(2, 5.0, 0.01, 0.02),))
-    supports = [Support(node, 1e5 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 3)]
+    supports = [NodeSupport(node, 1e5 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 3)]
     y = unbalance_response(rotor, supports, np.array([3000.0]), {2: 5e-5}, [4])[0, 0]
     np.testing.assert_allclose(y, -1e-5, rtol=0.01)
 
@@ -110,5 +110,5 @@ def test_a_singular_line_is_said() -> None:
     rotor = Rotor((ShaftElement(0.1, 0.01),))
     with pytest.raises(FitError, match="resonance without damping"):
         frequency_response(
-            rotor, [Support(1, np.zeros((2, 2)), np.zeros((2, 2)))], np.array([0.0]), 0.0, [0], [0]
+            rotor, [NodeSupport(1, np.zeros((2, 2)), np.zeros((2, 2)))], np.array([0.0]), 0.0, [0], [0]
         )

@@ -14,7 +14,15 @@ import pytest
 from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import modes
-from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support, bearing_loads
+from labpipe.methods.rotor.shaft import (
+    ALUMINIUM,
+    Disc,
+    NodeSupport,
+    Rotor,
+    ShaftElement,
+    Sleeve,
+    bearing_loads,
+)
 
 SPEED = 2 * np.pi * 50
 
@@ -46,7 +54,7 @@ def test_modes_on_healthy_bearings(rotor: Rotor) -> None:
     supports = []
     for node, load in zip((4, 14), bearing_loads(rotor, [4, 14], {10: (0.0, -80.0)}), strict=True):
         equilibrium = journal_equilibrium(bearing, (float(load[0]), float(load[1])), SPEED, FilmMesh(480, 60))
-        supports.append(Support(node, equilibrium.stiffness, equilibrium.damping))
+        supports.append(NodeSupport(node, equilibrium.stiffness, equilibrium.damping))
     found = modes(rotor, supports, SPEED)
     frequency, ratio = found.eigenvalues.imag / (2 * np.pi), found.damping_ratio
     oscillating = (frequency > 10) & (frequency < 100) & (ratio < 0.5)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from labpipe.methods.rotor.response import Modes, eigenvalues
+from labpipe.methods.rotor.response import WhirlModes, eigenvalues
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.shaft import supported_rotor
 from labpipe.methods.rotor.theory import follow, margin_above, margin_below, peaks, rotor_theory
@@ -71,7 +71,7 @@ def test_modes_are_followed_through_a_crossing():
     for speed in np.linspace(0, 10, 11):
         roots = np.array([-1 + 1j * (100 + speed), -1 + 1j * (106 - speed / 2)])
         order = np.argsort(roots.imag)
-        each.append(Modes(speed, roots[order], shapes[order]))
+        each.append(WhirlModes(speed, roots[order], shapes[order]))
     order = follow(each)
     first = [modes.eigenvalues[n].imag for modes, n in zip(each, order[:, 0], strict=True)]
     np.testing.assert_allclose(first, 100 + np.linspace(0, 10, 11))
@@ -81,7 +81,7 @@ def test_a_mode_that_begins_within_the_speeds_is_followed():
     """The second mode oscillates from the fourth speed on only."""
     shapes = np.array([[[1, 0], [0.5, 0]], [[0, 1], [0, -0.5]]], complex)
     roots = np.array([-1 + 100j, 1 + 150j])
-    each = [Modes(n, roots[: 1 + (n > 2)], shapes[: 1 + (n > 2)]) for n in range(6)]
+    each = [WhirlModes(n, roots[: 1 + (n > 2)], shapes[: 1 + (n > 2)]) for n in range(6)]
     assert follow(each).T.tolist() == [[0] * 6, [-1] * 3 + [1] * 3]
 
 

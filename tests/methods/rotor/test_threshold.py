@@ -8,7 +8,7 @@ import pytest
 from labpipe.errors import FitError
 from labpipe.methods.rotor.pinned import Stability, resonance_speed, threshold_speed
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE, onset_speed
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from tests.methods.rotor.falah_cases import LOAD, PINNED, ROTOR, RPM, film
 
 STABILITY = Stability.of(PINNED, 3)
@@ -19,11 +19,11 @@ def test_the_threshold_equals_the_onset_of_the_rotor_on_stiff_springs() -> None:
     """An independent assembly: 20 dofs, pins as springs of 1e11 N/m, the general onset search."""
     coefficients = film()
 
-    def supports(speed: float) -> list[Support]:
+    def supports(speed: float) -> list[NodeSupport]:
         stiffness, damping = (found[0] for found in coefficients(np.array([speed])))
         return [
-            *(Support(node, 1e11 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 5)),
-            Support(3, stiffness, damping),
+            *(NodeSupport(node, 1e11 * np.eye(2), 10.0 * np.eye(2)) for node in (1, 5)),
+            NodeSupport(3, stiffness, damping),
         ]
 
     ours = threshold_speed(STABILITY, coefficients, SPEEDS)

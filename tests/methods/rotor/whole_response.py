@@ -8,12 +8,12 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.methods.rotor.response import dynamic_stiffness, solve
-from labpipe.methods.rotor.shaft import Rotor, Support, supported_rotor
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, supported_rotor
 
 
 def frequency_response(
     rotor: Rotor,
-    supports: Iterable[Support],
+    supports: Iterable[NodeSupport],
     frequency: FloatArray,
     speed: float,
     outputs: list[int],

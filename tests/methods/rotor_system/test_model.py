@@ -16,7 +16,7 @@ from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.curve import CURVE_MESH as FINE
 from labpipe.methods.rotor.response import modes
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
-from labpipe.methods.rotor.shaft import Disc, Rotor, ShaftElement, Sleeve, Support, free_rotor
+from labpipe.methods.rotor.shaft import Disc, NodeSupport, Rotor, ShaftElement, Sleeve, free_rotor
 from labpipe.methods.rotor_system.build import (
     RUNNING,
     LinearBearing,
@@ -65,7 +65,7 @@ LN_MASS = 3.492187
 def test_free_modes_of_an_independent_calculation() -> None:
     of = built()
     test = FreeModes("hammer", np.arange(1, 5), *[np.ones(4)] * 4)
-    ln, _ = test.predicted(of.model, true_values(of))
+    ln, _ = test.predict(of.model, true_values(of))
     assert np.exp(ln[:4]) == pytest.approx(FREE_HZ, rel=1e-6)
     assert np.exp(ln[4:]) == pytest.approx(FREE_ZETA, rel=1e-6)
 
@@ -131,12 +131,12 @@ def test_a_response_of_random_data_is_the_expected_h1() -> None:
     offsets = np.arange(-64, 65)
     power = np.abs(np.fft.fft(window)[offsets]) ** 2
     shifted = [replace(plain, omega=plain.omega + 2 * np.pi * offset / 32) for offset in offsets]
-    every = [one.predicted(of.model, values) for one in shifted]
+    every = [one.predict(of.model, values) for one in shifted]
     expected = np.average([motion for motion, _ in every], axis=0, weights=power)
     slopes = np.average([slope() for _, slope in every], axis=0, weights=power)
-    found, found_slopes = leaking.predicted(of.model, values)
+    found, found_slopes = leaking.predict(of.model, values)
     size = np.abs(expected).max()
-    assert np.max(np.abs(plain.predicted(of.model, values)[0] - expected) / size) > 0.02
+    assert np.max(np.abs(plain.predict(of.model, values)[0] - expected) / size) > 0.02
     np.testing.assert_allclose(found / size, expected / size, atol=1e-4)
     scale = np.abs(slopes).max(axis=(1, 2, 3), keepdims=True) + 1e-300
     np.testing.assert_allclose(found_slopes() / scale, slopes / scale, atol=1e-3)
@@ -172,7 +172,7 @@ def test_the_same_rotor_as_the_plain_model() -> None:
     )
     model = build(system, SmallErrors(0, 0, 0, 0, 0), {}).model
     assert not model.unknowns
-    reference = modes(shaft, [Support(node, stiffness, damping) for node in (1, 7)], 300.0)
+    reference = modes(shaft, [NodeSupport(node, stiffness, damping) for node in (1, 7)], 300.0)
     found = model.roots(np.zeros(0), 300.0, slopes=False).values
     for value in reference.eigenvalues[:6]:
         assert np.abs(found - value).min() < 1e-8 * abs(value)
@@ -216,7 +216,7 @@ unbalances: [{node: 2, size: 0 g.mm +- 20 g.mm}]
     values[number] += model.errors[number]
     load = system.rig.static_loads()["left"]
     film = replace(system.rig.place("left").film("a test"), clearance=95e-6)
-    fine, coarse = (journal_equilibrium(film, load, spin, mesh).stiffness for mesh in (FINE, FINE.halved()))
+    fine, coarse = (journal_equilibrium(film, load, spin, mesh).stiffness for mesh in (FINE, FINE.halve()))
     # Extrapolated to cells of no size, as the curve is; it is a spline, .04 % off between its nodes.
     reference = (4 * fine - coarse) / 3
     free = model.matrices(values, spin, supported=False).stiffness[:2, :2]

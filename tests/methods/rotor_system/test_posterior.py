@@ -293,7 +293,7 @@ def test_margins_of_api_684() -> None:
 class Reading:
     """Evidence that no test shares."""
 
-    def loosened(self, _model, _values, _share):
+    def loosen(self, _model, _values, _share):
         return self
 
 

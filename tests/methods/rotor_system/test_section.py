@@ -35,7 +35,7 @@ from labpipe.methods.run_ups.records import ProbeError, RunUp
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.project.exports import parameter_table
 from labpipe.project.work import Work
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
 from tests.methods.rotor_system.two_discs import OIL, system
 
@@ -598,7 +598,7 @@ def test_what_a_rig_file_states_of_its_sensors_counts(tmp_path: Path, form: str)
     variance = 2e-6 * np.abs(matrix) ** 2
     measured = FrequencyResponse(
         frequency, matrix, (Port("6y", "a", "6y"),), (Port("6y", "f", "6y"),), form=form,
-        covariance=uncorrelated(variance), line_correlation=(0.25,),
+        covariance=diagonal_covariance(variance), line_correlation=(0.25,),
     )  # fmt: skip
     test = SystemTest(name="free", kind="response", test="free", free=True)
     mass = float(model.matrices(model.means, 0.0, supported=False).mass[0::4, 0::4].sum())

@@ -156,7 +156,7 @@ def four_tests(
     model = of.model
     blank = np.full(4, 1.0)
     free = FreeModes("hammer", np.arange(1, 5), blank, 0.001 * blank, blank, 0.05 * blank)
-    ln, _ = free.predicted(model, values)
+    ln, _ = free.predict(model, values)
     ln = ln + np.repeat([0.001, 0.05], 4) * noise((8,))
     free = FreeModes("hammer", np.arange(1, 5), np.exp(ln[:4]), 0.001 * blank, np.exp(ln[4:]), 0.05 * blank)
     omega = 2 * np.pi * np.arange(20.0, 260.0, 10.0)
@@ -167,7 +167,7 @@ def four_tests(
     shaker = Responses(
         name, omega, outputs, (dof("2 y"), dof("2 z")), np.zeros(shape, complex), np.ones(shape), spin=spin
     )
-    true, _ = shaker.predicted(model, values)
+    true, _ = shaker.predict(model, values)
     # 1 % and .0005 1/kg of the accelerance.
     error = np.where(cross > 0, 0.01 * np.abs(true) + 0.0005 / omega[:, None, None] ** 2, np.nan)
     shaker = Responses(

@@ -39,7 +39,7 @@ def twenty() -> AmplitudeFit:
 
 def test_slopes_of_the_largest_displacement_equal_differences(rng: np.random.Generator) -> None:
     speed = np.array([90.0, 150.0, 260.0])
-    condensed = RIG.condensed(speed, RIG.known_unbalance)
+    condensed = RIG.condense(speed, RIG.known_unbalance)
     eight = as_eight(*RIG.start_coefficients(6.0, speed))
     slopes = displacement_slopes(*condensed.response_and_slopes(*as_matrices(eight)))
     assert slopes.shape == (3, 2, 8)

@@ -16,7 +16,7 @@ from labpipe.methods.rotor.response import unbalance_response
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.section import orbit
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.records import RunUp
@@ -123,7 +123,7 @@ def test_an_isotropic_bearing_gives_the_circle_of_the_closed_form(tmp_path: Path
     )
     forward, backward = np.abs(orbit(rig))
     assert backward < 1e-9 * forward
-    supports = [Support(node, support.stiffness, support.damping) for node in (1, 3)]
+    supports = [NodeSupport(node, support.stiffness, support.damping) for node in (1, 3)]
     motion = unbalance_response(rig.rotor, supports, np.array([rig.omega]), {2: 20e-6}, rig.rotor.dofs(2))
     assert abs(abs(motion[0, 0]) / forward - 1) < 1e-9
 
@@ -203,7 +203,7 @@ def small_run(rig: RunUpRotor, change: float) -> RunUp:
         unbalance=rig.known_unbalance,
     )
     stiffness, damping = rig.start_coefficients(20.0, speed)
-    response = rig.excited(bare).response(change * stiffness, change * damping).reshape(9, 2, 2)
+    response = rig.excite(bare).response(change * stiffness, change * damping).reshape(9, 2, 2)
     return replace(
         bare,
         response=response,

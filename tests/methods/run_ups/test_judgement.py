@@ -12,7 +12,7 @@ import scipy
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.methods.rotor.theory import BROKEN, KEPT, UNDECIDED, decision, margin_below
-from labpipe.methods.run_ups.judgement import Estimate, JudgedPeak, Judgement, Sensitivity, judge
+from labpipe.methods.run_ups.judgement import IntervalEstimate, JudgedPeak, RunUpJudgement, Sensitivity, judge
 from labpipe.methods.run_ups.orders import judged_figure, judgement_lines
 from labpipe.records.response import Port
 from labpipe.spectra.orders import OrderTrack
@@ -231,20 +231,22 @@ def test_a_recording_is_judged(tmp_path: Path, labpipe) -> None:
     assert ended.code == 2 and "one stated unbalance" in ended.err
 
 
-def judged(*peaks: JudgedPeak, top: float = 126.0, speed_range=(60.0, 100.0), **entries: object) -> Judgement:
+def judged(
+    *peaks: JudgedPeak, top: float = 126.0, speed_range=(60.0, 100.0), **entries: object
+) -> RunUpJudgement:
     fine = np.array([5.0, top])
     parts = {"slow_roll": None, "sensitivities": (), **entries}
     curves = {"curve": np.zeros((2, 1)), "ends": np.zeros((2, 2, 1))}
-    return Judgement(("a",), peaks=peaks, fine=fine, speed_range=speed_range, **parts, **curves)
+    return RunUpJudgement(("a",), peaks=peaks, fine=fine, speed_range=speed_range, **parts, **curves)
 
 
 PEAK = JudgedPeak(
     "a",
-    Estimate(45.0, 44.5, 45.5),
-    Estimate(8.0, 7.0, 9.5),
-    Estimate(3e-5, 2e-5, 4e-5),
-    Estimate(25.0, 24.0, 26.0),
-    Estimate(14.4, 14.0, 15.0),
+    IntervalEstimate(45.0, 44.5, 45.5),
+    IntervalEstimate(8.0, 7.0, 9.5),
+    IntervalEstimate(3e-5, 2e-5, 4e-5),
+    IntervalEstimate(25.0, 24.0, 26.0),
+    IntervalEstimate(14.4, 14.0, 15.0),
     KEPT,
     0.99,
     False,
@@ -258,7 +260,7 @@ def test_lines_of_a_judgement() -> None:
         replace(PEAK, amplification=None, margin=None, asked=None, fast=True),
         replace(PEAK, asked=None, amplification=None),
         slow_roll=np.array([3e-6j]),
-        sensitivities=(Sensitivity("a", Estimate(0.5, 0.25, 0.75), 30.0),),
+        sensitivities=(Sensitivity("a", IntervalEstimate(0.5, 0.25, 0.75), 30.0),),
     )
     speed = "a        critical speed 2700 (2670 to 2730) rpm"
     assert list(judgement_lines(found, "displacement")) == [

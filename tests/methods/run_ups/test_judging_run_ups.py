@@ -8,7 +8,14 @@ from dataclasses import replace
 import pytest
 
 from labpipe.errors import ConfigError
-from labpipe.methods.run_ups.records import HELD_OUT, TRAINED, Amount, MeasuredRun, RunUpMethod, RunUpResult
+from labpipe.methods.run_ups.records import (
+    HELD_OUT,
+    TRAINED,
+    MeasuredRun,
+    RunUpMethod,
+    RunUpResult,
+    UncertainAmount,
+)
 from labpipe.methods.run_ups.section import run_up_outcome
 from labpipe.project.judging import compare_number
 from labpipe.project.rules import Rule
@@ -16,7 +23,7 @@ from labpipe.project.rules import Rule
 
 def run(name: str, role: str, critical: float | None) -> MeasuredRun:
     """A run with a critical speed [Hz] known to 0.1 Hz."""
-    speed = None if critical is None else Amount(2 * math.pi * critical, 2 * math.pi * 0.1)
+    speed = None if critical is None else UncertainAmount(2 * math.pi * critical, 2 * math.pi * 0.1)
     return MeasuredRun(name, 10.0, role, excitation="unbalance", speed=(), motions=(), critical_speed=speed)
 
 

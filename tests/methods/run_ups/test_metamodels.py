@@ -132,7 +132,7 @@ def test_the_process_predicts_what_the_textbook_does(rng: np.random.Generator) -
     grid = grid_of(smooth)
     hyper = np.tile([0.8, 0.9, 0.5, 0.1], (8, 1))
     model = GaussianProcess.of(grid, hyper)
-    x = Extent.of(grid).coded(grid.load, grid.speed)
+    x = Extent.of(grid).code(grid.load, grid.speed)
     asked = rng.uniform(-1.3, 1.3, (4, 2))
 
     def k(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -153,7 +153,7 @@ def test_its_hyperparameters_are_at_a_maximum(rng: np.random.Generator) -> None:
     grid = grid_of(smooth)
     grid = Grid(grid.load, grid.speed, grid.eight * (1 + 0.02 * rng.standard_normal(grid.eight.shape)))
     hyper = fit_process(grid).hyper[0]
-    x, y = Extent.of(grid).coded(grid.load, grid.speed), grid.eight[:, 0]
+    x, y = Extent.of(grid).code(grid.load, grid.speed), grid.eight[:, 0]
     y = (y - y.mean()) / y.std()
     median, deviation = (np.array(column) for column in zip(*metamodels.HYPER, strict=True))
 
@@ -198,7 +198,7 @@ def test_a_network_is_what_scikit_learn_predicts() -> None:
     """The layers written out against the regressor's own predict."""
     networks = pytest.importorskip("sklearn.neural_network")
     grid = grid_of(smooth)
-    x = Extent.of(grid).coded(grid.load, grid.speed)
+    x = Extent.of(grid).code(grid.load, grid.speed)
     y = (grid.eight - grid.eight.mean(axis=0)) / grid.eight.std(axis=0)
     theirs = networks.MLPRegressor(
         hidden_layer_sizes=(8,), activation="tanh", solver="lbfgs", alpha=1e-3, max_iter=4000, random_state=7
@@ -297,7 +297,7 @@ def test_the_grid_of_fits_and_of_a_joint_fit() -> None:
     assert grid.loads == tuple(run.load for run in runs)
     np.testing.assert_array_equal(grid.at(runs[1].load).eight, fits[1].coefficients)
     assert grid.at(runs[1].load, others=True).loads == (runs[0].load,)
-    sampled = Grid.sampled(joint, joint.loads, SPEEDS)
+    sampled = Grid.sample(joint, joint.loads, SPEEDS)
     np.testing.assert_array_equal(sampled.at(runs[0].load).eight, joint.coefficients(runs[0].load, SPEEDS)[0])
 
 
@@ -338,7 +338,7 @@ def test_the_physical_fit_predicts_a_load_it_never_saw_best() -> None:
     """
     truth, runs = virtual("outside"), trained("outside")
     joint = fit_jointly(RIG, runs)
-    grid = Grid.sampled(joint, joint.loads, truth.omega)
+    grid = Grid.sample(joint, joint.loads, truth.omega)
     rows = leave_one_load_out(grid, ["surface", "process"], physical_without(RIG, runs))
     worst = {kind: max(row.rms for row in of_kind) for kind, of_kind in rows.items()}
     assert worst["physical"] < 0.06 < worst["process"] < worst["surface"]

@@ -88,5 +88,5 @@ def test_the_rotor_takes_the_runs_unbalance() -> None:
     assert own.known_unbalance == {"disc 2": pytest.approx(1e-5 * np.exp(1j))}
     np.testing.assert_allclose(
         own.response(RUN.speed, RIG.start(RUN.load)).reshape(RUN.n_speed, -1),
-        RIG.condensed(RUN.speed, other.unbalance).response(*RIG.start_coefficients(RUN.load, RUN.speed)),
+        RIG.condense(RUN.speed, other.unbalance).response(*RIG.start_coefficients(RUN.load, RUN.speed)),
     )

@@ -64,11 +64,13 @@ def test_what_the_basis_says_and_what_it_leaves_are_the_whole_covariance(rng: np
     field = SmoothField.of(KERNEL, places)
     basis = field.basis(elsewhere)
     np.testing.assert_allclose(
-        basis @ basis.T + field.unexplained(elsewhere), KERNEL.covariance(elsewhere, elsewhere), atol=1e-12
+        basis @ basis.T + field.residual_covariance(elsewhere),
+        KERNEL.covariance(elsewhere, elsewhere),
+        atol=1e-12,
     )
-    assert np.all(np.diagonal(field.unexplained(places)) < 1e-5 * KERNEL.size**2)
+    assert np.all(np.diagonal(field.residual_covariance(places)) < 1e-5 * KERNEL.size**2)
     far = np.array([[60.0, 100.0]])
-    np.testing.assert_allclose(field.unexplained(far), KERNEL.size**2, rtol=1e-6)
+    np.testing.assert_allclose(field.residual_covariance(far), KERNEL.size**2, rtol=1e-6)
 
 
 def test_the_posterior_of_the_basis_is_the_textbook_s(rng: np.random.Generator) -> None:
@@ -83,7 +85,9 @@ def test_the_posterior_of_the_basis_is_the_textbook_s(rng: np.random.Generator) 
     known, asked = field.basis(places), field.basis(elsewhere)
     own = np.linalg.inv(known.T @ known / noise**2 + np.eye(field.n_mode))
     np.testing.assert_allclose(asked @ own @ known.T @ measured / noise**2, mean, atol=1e-5)
-    np.testing.assert_allclose(asked @ own @ asked.T + field.unexplained(elsewhere), variance, atol=1e-6)
+    np.testing.assert_allclose(
+        asked @ own @ asked.T + field.residual_covariance(elsewhere), variance, atol=1e-6
+    )
 
 
 def test_slopes_of_the_coefficients_equal_differences(rng: np.random.Generator) -> None:

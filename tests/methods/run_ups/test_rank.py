@@ -47,7 +47,7 @@ def test_a_change_that_is_not_seen_changes_no_response(rng: np.random.Generator)
     """
     speed = np.array([150.0])
     stiffness, damping = RIG.start_coefficients(5.0, speed)
-    condensed = RIG.condensed(speed, RIG.known_unbalance)
+    condensed = RIG.condense(speed, RIG.known_unbalance)
     journal, _ = condensed.journal(stiffness, damping)
     across = np.array([-journal[0, 1], journal[0, 0]])
     rows = (
@@ -59,7 +59,7 @@ def test_a_change_that_is_not_seen_changes_no_response(rng: np.random.Generator)
     )
     changed = stiffness + rows.real, damping + rows.imag / speed
     for unbalance in (RIG.known_unbalance, {"disc 2": 5e-5j}):
-        there = RIG.condensed(speed, unbalance)
+        there = RIG.condense(speed, unbalance)
         np.testing.assert_allclose(there.response(*changed), there.response(stiffness, damping), rtol=1e-9)
     assert np.max(np.abs(changed[0] / stiffness - 1)) > 0.01
 
@@ -91,7 +91,7 @@ def test_ranks_do_not_need_a_known_unbalance() -> None:
 def test_a_run_that_nothing_excites_is_refused() -> None:
     (run,) = run_ups(virtual("inside"), 1, ["load-2"])
     with pytest.raises(DataError, match="was excited by nothing"):
-        RIG.excited(dataclasses.replace(run, unbalance={"disc 1": 0j}))
+        RIG.excite(dataclasses.replace(run, unbalance={"disc 1": 0j}))
 
 
 def test_rank_and_condition_of_matrices_by_hand() -> None:

@@ -97,11 +97,11 @@ def test_a_static_force_that_does_not_turn_moves_the_journal_otherwise() -> None
         phase_error=ones,
         unbalance={"disc 1": 1e-5 + 0j},
     )
-    assert np.allclose(RIG.excited(force).speed, 0.9 * speed)
+    assert np.allclose(RIG.excite(force).speed, 0.9 * speed)
     np.testing.assert_allclose(
-        RIG.excited(turning).force[:, 1] / RIG.excited(turning).force[:, 0], -1j, atol=1e-9
+        RIG.excite(turning).force[:, 1] / RIG.excite(turning).force[:, 0], -1j, atol=1e-9
     )
-    assert np.max(np.abs(RIG.excited(force).force[:, 1] / RIG.excited(force).force[:, 0])) < 1e-2
+    assert np.max(np.abs(RIG.excite(force).force[:, 1] / RIG.excite(force).force[:, 0])) < 1e-2
 
 
 def test_a_run_of_other_planes_is_refused() -> None:
@@ -117,7 +117,7 @@ def test_a_run_of_other_planes_is_refused() -> None:
         unbalance={"disc 2": 1e-5 + 0j},
     )
     with pytest.raises(DataError, match="was measured at disc 2, the rotor has disc 1, disc 2"):
-        RIG.excited(run)
+        RIG.excite(run)
 
 
 @pytest.mark.parametrize(

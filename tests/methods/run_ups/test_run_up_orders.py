@@ -10,7 +10,7 @@ from scipy import signal
 
 from labpipe.errors import DataError
 from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.measured import added_since, at_speeds, difference, run_up_of
+from labpipe.methods.run_ups.measured import added_since, difference, interpolate_run, run_up_of
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.misfit import ExcitedRun, scales, shared_noise
 from labpipe.methods.run_ups.records import RunUp, Shaker
@@ -182,11 +182,11 @@ def test_the_errors_of_a_difference_are_those_of_many_draws(rng: np.random.Gener
 
 def test_a_residual_is_read_between_its_speeds() -> None:
     grown = run(SPEED, phasors(1e-5, 2e-5) * np.array([1.0, 2.0, 3.0])[:, None, None], {"disc 1": 0j})
-    found = at_speeds(grown, np.array([90.0, 105.0, 115.0]))
+    found = interpolate_run(grown, np.array([90.0, 105.0, 115.0]))
     np.testing.assert_allclose(found.speed, [105.0, 115.0])
     np.testing.assert_allclose(found.response[:, 0, 0], [1.5e-5, 2.5e-5])
     with pytest.raises(DataError, match="does not reach"):
-        at_speeds(grown, np.array([10.0]))
+        interpolate_run(grown, np.array([10.0]))
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_a_baseline_read_between_its_speeds_is_shared_in_parts() -> None:
     for speed in (102.5, 105.0):
         moved = run(np.array([speed]), phasors(5e-5, 5e-5)[:1], {"disc 1": 5e-5 + 0j})
         net = added_since(residual, moved)
-        excited = ExcitedRun(net, RIG.condensed(net.speed, {}))
+        excited = ExcitedRun(net, RIG.condense(net.speed, {}))
         slopes = np.zeros((1, excited.n_equation, 1))
         slopes[0, 0] = net.amplitude_error[0, 0, 0]
         parts.append((net, excited.by_baseline(slopes)[0]))

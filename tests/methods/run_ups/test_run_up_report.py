@@ -24,7 +24,6 @@ from labpipe.methods.run_ups.figures import (
     surface_figures,
 )
 from labpipe.methods.run_ups.records import (
-    Amount,
     Cascade,
     Convergence,
     LeftOut,
@@ -37,6 +36,7 @@ from labpipe.methods.run_ups.records import (
     RunUpResult,
     StartSpread,
     Surface,
+    UncertainAmount,
 )
 from labpipe.methods.run_ups.report import (
     both_differences,
@@ -80,8 +80,8 @@ def run(name: str, load: float, role: str = "trained") -> MeasuredRun:
         excitation="disc 1: 50 g mm at 0 deg",
         speed=SPEED,
         motions=motions(1.0, True),
-        critical_speed=Amount(1400 * RPM, 1.0 * RPM),
-        threshold=Amount(2800 * RPM, 5 * RPM),
+        critical_speed=UncertainAmount(1400 * RPM, 1.0 * RPM),
+        threshold=UncertainAmount(2800 * RPM, 5 * RPM),
         printed_critical_speed=printed[0],
         printed_threshold=printed[1],
     )
@@ -90,7 +90,7 @@ def run(name: str, load: float, role: str = "trained") -> MeasuredRun:
 def told(name: str, factor: float, error: float | None, notes: tuple[str, ...] = ()) -> RunPrediction:
     eight = tuple(tuple(1e5 * factor * (n + 1) / (1 if n < 4 else 100) for n in range(8)) for _ in SPEED)
     errors = tuple(tuple(0.02 * abs(one) for one in row) for row in eight) if error else ()
-    speeds = Amount(1400 * RPM * factor, error), Amount(2800 * RPM * factor, error)
+    speeds = UncertainAmount(1400 * RPM * factor, error), UncertainAmount(2800 * RPM * factor, error)
     return RunPrediction(
         name,
         *speeds,
@@ -248,7 +248,7 @@ def test_all_methods_stand_beside_the_measurement() -> None:
     ]
     # A second run under the same load and one under a shaker: neither has a threshold of its own, the latter
     # no critical speed.
-    nothing = RunPrediction("shaken", None, Amount(2800 * RPM))
+    nothing = RunPrediction("shaken", None, UncertainAmount(2800 * RPM))
     more = (
         replace(RUNS[0], name="again", threshold=None),
         replace(RUNS[0], name="shaken", critical_speed=None, threshold=None),
@@ -270,10 +270,10 @@ def test_all_methods_stand_beside_the_measurement() -> None:
 
 
 def test_a_speed_is_rounded_to_its_error() -> None:
-    assert rpm_text(None) == "none" and rpm_text(Amount(100.0)) == "954.9"
+    assert rpm_text(None) == "none" and rpm_text(UncertainAmount(100.0)) == "954.9"
     assert (
-        rpm_text(Amount(4040 * RPM, 101 * RPM)) == "4040 ± 100"
-        and rpm_text(Amount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
+        rpm_text(UncertainAmount(4040 * RPM, 101 * RPM)) == "4040 ± 100"
+        and rpm_text(UncertainAmount(1516.6 * RPM, 1.04 * RPM)) == "1516.6 ± 1.0"
     )
 
 

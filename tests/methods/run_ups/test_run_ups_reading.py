@@ -26,7 +26,7 @@ from tests.methods.run_ups.test_run_up_orders import sweep
 
 
 class Anything:
-    def excited(self, run: RunUp) -> None:
+    def excite(self, run: RunUp) -> None:
         pass
 
 
@@ -76,7 +76,7 @@ def test_a_stated_load_is_that_of_the_residual_run_as_well(tmp_path: Path) -> No
         (tmp_path / name).write_text(text.format(size), encoding="utf-8")
     files = {"file": "run.csv", "path": tmp_path / "run.csv", "subtract": "left.csv"}
     settings = RunSettings(**files, subtracted=tmp_path / "left.csv", load=5.0)  # type: ignore[arg-type]
-    run = run_ups_reading.run_as_measured(settings, cast("OutputFolder", None), tmp_path).run
+    run = run_ups_reading.read_measured_run(settings, cast("OutputFolder", None), tmp_path).run
     assert run.load == 5.0 and np.abs(run.response) == pytest.approx(1e-6)
 
 

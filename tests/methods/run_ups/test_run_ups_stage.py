@@ -260,7 +260,7 @@ def test_a_second_unbalance_adds_no_rank_and_a_residual_is_subtracted(tmp_path: 
 def made(like: RunUp, unbalance: dict[str, complex], coefficients: object) -> RunUp:
     """A run without noise, at the speeds of another."""
     bare = replace(like, unbalance=unbalance, threshold=None)
-    response = RIG.excited(bare).response(*coefficients(like.speed)).reshape(like.response.shape)  # type: ignore[operator]
+    response = RIG.excite(bare).response(*coefficients(like.speed)).reshape(like.response.shape)  # type: ignore[operator]
     return replace(
         bare,
         response=response,
@@ -314,7 +314,7 @@ def recorded(path: Path, unbalance: dict[str, complex]) -> None:
     speed = np.linspace(900, 2100, time.size) * RPM
     revolutions = np.cumsum(speed) / 2000 / (2 * np.pi)
     grid = np.arange(880.0, 2121.0, 10.0) * RPM
-    phasors = RIG.condensed(grid, unbalance).response(*RIG.start_coefficients(LOAD, grid))
+    phasors = RIG.condense(grid, unbalance).response(*RIG.start_coefficients(LOAD, grid))
     there = np.stack(
         [np.interp(speed, grid, one.real) + 1j * np.interp(speed, grid, one.imag) for one in phasors.T]
     )

@@ -13,7 +13,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.planning.wear import ExpectedWear, ResponseTest, information
 from labpipe.methods.wear.search import descend
 from labpipe.methods.wear.virtual_rig import receptance
-from labpipe.records.response import FrequencyResponse, uncorrelated
+from labpipe.records.response import FrequencyResponse, diagonal_covariance
 from tests.methods.wear.worn_cases import PORTS, RIG, SCALE, misfit_of, worn_rig
 
 MESH = FilmMesh(240, 30)
@@ -89,7 +89,7 @@ def test_predicted_errors_are_those_of_draws(rng: np.random.Generator) -> None:
     std = testing.displacement / np.sqrt(
         testing.force**2 / (band[1] - band[0]) * testing.seconds * testing.spacing
     )
-    covariance = uncorrelated(np.full(clean.shape, std**2))
+    covariance = diagonal_covariance(np.full(clean.shape, std**2))
     found = []
     start = np.array([20.0, 8.0])
     for _ in range(80):

@@ -10,10 +10,10 @@ import pytest
 from labpipe.estimation.fitting import identify
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.wear.model import Misfit
+from labpipe.methods.wear.model import WornMisfit
 from labpipe.methods.wear.search import (
     Interval,
-    Minimum,
+    WearMinimum,
     descend,
     film_covariance,
     minima,
@@ -37,7 +37,7 @@ VALUES = {"wear_depth": 30e-6, "wear_angle": 0.1, "viscosity": 0.1044, "clearanc
 
 
 @pytest.fixture(scope="module")
-def minimum() -> tuple[Misfit, Minimum]:
+def minimum() -> tuple[WornMisfit, WearMinimum]:
     """Wear of 30 um without noise, weighted as with 1 %."""
     response = measured(worn_rig(30.0, 8.0))
     assert response.covariance is not None
@@ -45,13 +45,13 @@ def minimum() -> tuple[Misfit, Minimum]:
     return refine(misfit, minima(misfit, [np.array([30.0, 8.0, 34.8, 50.0])])[0])
 
 
-def noise_of(misfit: Misfit, parameters: np.ndarray) -> np.ndarray:
+def noise_of(misfit: WornMisfit, parameters: np.ndarray) -> np.ndarray:
     jacobian = misfit.jacobian(parameters)
     return np.linalg.inv(jacobian.T @ jacobian)
 
 
 @pytest.mark.long
-def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[Misfit, Minimum]) -> None:
+def test_the_covariance_is_the_shift_of_the_estimate(minimum: tuple[WornMisfit, WearMinimum]) -> None:
     """Every film moved by its mesh's error and the wear estimated again: outer products of the shifts, 10 %
     for the bend of the model.
     """
@@ -88,10 +88,10 @@ def test_a_shifted_bearing_has_other_coefficients_and_the_same_slopes() -> None:
     place, load = RIG.bearings[1], RIG.static_loads()["bearing 2"]
     change = np.arange(8.0).reshape(2, 2, 2)
     for worn, ranges in ((True, table_range(50e-6, 0.3, 1.05, 1.05)), (False, table_range(50e-6, 0.3))):
-        bearing = tabulate(place, load, RIG.omega, worn, ranges, FilmMesh(24, 4)).refined(
+        bearing = tabulate(place, load, RIG.omega, worn, ranges, FilmMesh(24, 4)).refine(
             VALUES if worn else {}, FilmMesh(96, 16), False
         )
-        before, after = (one.support(VALUES, ("wear_depth",)) for one in (bearing, bearing.shifted(change)))
+        before, after = (one.support(VALUES, ("wear_depth",)) for one in (bearing, bearing.shift(change)))
         np.testing.assert_allclose(after.support.stiffness - before.support.stiffness, change[0], atol=1e-6)
         np.testing.assert_allclose(after.support.damping - before.support.damping, change[1], atol=1e-6)
         np.testing.assert_array_equal(after.stiffness_slopes, before.stiffness_slopes)

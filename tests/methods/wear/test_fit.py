@@ -14,8 +14,8 @@ from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.estimation.budget import with_sources
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.wear.fit import _Solved, _without_prior, healthy_findings, rival_findings
-from labpipe.methods.wear.search import Minimum
+from labpipe.methods.wear.fit import _fit_without_prior, _Solved, healthy_findings, rival_findings
+from labpipe.methods.wear.search import WearMinimum
 from labpipe.methods.wear.settings import UNITS, Gaussian, posterior, with_prior
 from labpipe.project.work import _begin
 from labpipe.records.finding import Parameter
@@ -192,7 +192,7 @@ def test_rival_minima_are_named_with_their_place() -> None:
         ([40.0, 0.0], 30.0, True),
         ([45.0, 0.0], 11.0, False),
     ]
-    found = [Minimum(np.array(place), chi2, 5, converged, 9) for place, chi2, converged in places]
+    found = [WearMinimum(np.array(place), chi2, 5, converged, 9) for place, chi2, converged in places]
     (finding,) = rival_findings(found, misfit)
     assert finding.code == "multi-modal" and "30 um at -5 deg (chi-square +2)" in finding.message
     assert "40 um" not in finding.message and "45 um" not in finding.message
@@ -326,7 +326,7 @@ def test_tests_that_share_a_tuning_have_its_error_in_common() -> None:
         model = SimpleNamespace(names=names, scale=np.ones(3), prior=prior)
         misfit = SimpleNamespace(model=model, n_prior=2, jacobian=lambda _, rows=jacobian: rows)
         solved = _Solved(misfit, (SimpleNamespace(parameters=None),), covariance, 0 * covariance)
-        fits.append(with_sources(*_without_prior(plain, solved, wear_settings(prior="tuning"))))
+        fits.append(with_sources(*_fit_without_prior(plain, solved, wear_settings(prior="tuning"))))
         slopes.append(covariance @ np.vstack([np.zeros(2), np.linalg.inv(spread)]))
         whole.append(covariance[0, 0])
     changes = parameter_changes(fits, "wear_depth")
@@ -380,7 +380,7 @@ def test_a_test_at_another_speed_than_its_rotor_is_refused() -> None:
     }
     for stated, refused in speeds.items():
         with pytest.raises(LabpipeError) as caught:
-            fitted(nowhere, response.renamed("t", {"speed": stated}))
+            fitted(nowhere, response.rename("t", {"speed": stated}))
         assert ("the test ran at 40 Hz" in str(caught.value)) is refused
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.errors import ConfigError, FitError, LabpipeError
 from labpipe.methods.wear.model import WornReceptance, worn_receptance
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.spectra.convert import directional
 from tests.methods.wear.worn_cases import PORTS, Y, Z, fit_settings, turned, wear_settings
 
@@ -23,7 +23,7 @@ def response(rng: np.random.Generator) -> FrequencyResponse:
     """Any 2 x 2 response in y and z, each term with its own variance."""
     matrix = rng.standard_normal((LINES.size, 2, 2)) + 1j * rng.standard_normal((LINES.size, 2, 2))
     variance = rng.uniform(0.5, 1.0, (LINES.size, 2, 2)) * 1e-4
-    return FrequencyResponse(LINES, matrix, PORTS, PORTS, covariance=uncorrelated(variance))
+    return FrequencyResponse(LINES, matrix, PORTS, PORTS, covariance=diagonal_covariance(variance))
 
 
 def data_of(

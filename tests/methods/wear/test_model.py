@@ -64,7 +64,7 @@ def test_refined_model_is_the_film_and_its_slopes(model: WornModel) -> None:
     """
     here = point(model, depth=40.0)
     values = model.values(here)
-    refined = model.refined(here)
+    refined = model.refine(here)
     own = {name: values[name] for name in ("viscosity", "clearance")}
 
     def film(depth: float, angle: float) -> np.ndarray:
@@ -90,7 +90,7 @@ def test_what_refining_is_for(model: WornModel) -> None:
     truth = receptance(worn_rig(22.0, 8.0), LINES, FINE)
     errors = [
         np.abs(one.response(here)[0] - truth).max() / np.abs(truth).max()
-        for one in (model, model.refined(here))
+        for one in (model, model.refine(here))
     ]
     assert errors[0] < 0.1 and errors[1] < 1e-4 * errors[0]
 
@@ -100,7 +100,7 @@ def test_healthy_model_has_no_wear(model: WornModel) -> None:
     assert healthy.names == ("viscosity", "clearance")
     mean = np.array(healthy.prior.mean) / healthy.scale
     np.testing.assert_allclose(
-        healthy.refined(mean).response(mean)[0], receptance(worn_rig(), LINES, FINE), rtol=1e-6
+        healthy.refine(mean).response(mean)[0], receptance(worn_rig(), LINES, FINE), rtol=1e-6
     )
 
 
@@ -109,7 +109,7 @@ def test_wear_alone_needs_no_table_of_the_other_bearing() -> None:
     assert [bearing.table is None for bearing in alone.bearings] == [True, False]
     here = np.array([40.0, -5.0])
     np.testing.assert_allclose(
-        alone.refined(here).response(here)[0], receptance(worn_rig(40.0, -5.0), LINES, FINE), rtol=1e-6
+        alone.refine(here).response(here)[0], receptance(worn_rig(40.0, -5.0), LINES, FINE), rtol=1e-6
     )
 
 
@@ -129,7 +129,7 @@ def test_the_other_bearing_may_be_the_worn_one() -> None:
     assert [bearing.worn for bearing in first.bearings] == [True, False]
     here = np.array([20.0, 5.0])
     rig = RIG.with_bearings(["bearing 1"], wear_depth=20e-6, wear_angle=np.deg2rad(5))
-    np.testing.assert_allclose(first.refined(here).response(here)[0], receptance(rig, LINES, FINE), rtol=1e-6)
+    np.testing.assert_allclose(first.refine(here).response(here)[0], receptance(rig, LINES, FINE), rtol=1e-6)
 
 
 def test_a_second_wear_does_not_go_with_nuisances() -> None:
@@ -179,7 +179,7 @@ def test_slopes_stand_under_their_names() -> None:
 
 
 def test_a_healthy_rotor_without_a_film_has_its_shaft_s_damping_alone() -> None:
-    linear = LINEAR.mounted(LinearBearingSettings(kind="linear-bearing", k_yy=1e6, c=100.0))
+    linear = LINEAR.make(LinearBearingSettings(kind="linear-bearing", k_yy=1e6, c=100.0))
     places = tuple(replace(place, bearing=linear, kind="linear-bearing") for place in RIG.bearings)
     rig = replace(RIG, bearings=places)
     model = worn_model(wear_settings(healthy=True, beta=Uncertain(1.6e-4, 1e-5), rig=rig), LINES)

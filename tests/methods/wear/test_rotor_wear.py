@@ -18,7 +18,15 @@ from labpipe.methods.journal_bearing.bearing import JournalBearing, journal_equi
 from labpipe.methods.journal_bearing.curve import journal_table
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
-from labpipe.methods.rotor.shaft import ALUMINIUM, Disc, Rotor, ShaftElement, Sleeve, Support, bearing_loads
+from labpipe.methods.rotor.shaft import (
+    ALUMINIUM,
+    Disc,
+    NodeSupport,
+    Rotor,
+    ShaftElement,
+    Sleeve,
+    bearing_loads,
+)
 from labpipe.methods.wear.tables import VaryingSupport
 from tests.methods.wear.worn_cases import WornRig, worn_response
 
@@ -48,11 +56,13 @@ def rig() -> WornRig:
     def worn_bearing(depth: float, angle: float) -> VaryingSupport:
         found = table.coefficients(dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle), SPEED)
         return VaryingSupport(
-            Support(14, found.stiffness, found.damping), found.stiffness_slopes[:2], found.damping_slopes[:2]
+            NodeSupport(14, found.stiffness, found.damping),
+            found.stiffness_slopes[:2],
+            found.damping_slopes[:2],
         )
 
     standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on(
-        [Support(4, first.stiffness, first.damping)]
+        [NodeSupport(4, first.stiffness, first.damping)]
     )
     return WornRig(standing, worn_bearing, 14, 10)
 
@@ -117,7 +127,7 @@ def test_derivatives_follow_the_film_itself(rig: WornRig, depth: float, angle: f
     def response(wear: np.ndarray) -> np.ndarray:
         worn = dataclasses.replace(BEARING, wear_depth=float(wear[0]), wear_angle=float(wear[1]))
         film = journal_equilibrium(worn, load, SPEED, MESH)
-        standing = rig.rotor.on([Support(14, film.stiffness, film.damping)])
+        standing = rig.rotor.on([NodeSupport(14, film.stiffness, film.damping)])
         return standing.response(14, 10)
 
     _, slopes = worn_response(*here, rig)

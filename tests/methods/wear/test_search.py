@@ -12,9 +12,9 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.methods.wear.model import Misfit, WornModel
+from labpipe.methods.wear.model import WornMisfit, WornModel
 from labpipe.methods.wear.search import (
-    Minimum,
+    WearMinimum,
     descend,
     healthy_minimum,
     healthy_probability,
@@ -34,7 +34,7 @@ TRUTH = np.array([22.27, 11.0])
 
 
 @pytest.fixture(scope="module")
-def noisy() -> tuple[Misfit, Minimum]:
+def noisy() -> tuple[WornMisfit, WearMinimum]:
     """Complex misfit with 2 % noise and nuisances, refined at its minimum."""
     misfit = misfit_of(measured(worn_rig(*TRUTH), 0.02, np.random.default_rng(4)), **NUISANCES)
     return refine(misfit, minima(misfit, start_mesh(wear_settings(**NUISANCES), misfit))[0])
@@ -124,17 +124,19 @@ def test_parameters_that_are_held_do_not_move() -> None:
 
 def test_minima_at_one_place_are_one() -> None:
     ones = [
-        Minimum(np.array(p), c, 1, True, 3)
+        WearMinimum(np.array(p), c, 1, True, 3)
         for p, c in (([20.0, 5.0], 1.0), ([20.05, 5.02], 1.1), ([40.0, 5.0], 2.0))
     ]
     joined = merge(ones)
     assert [one.starts for one in joined] == [2, 1] and joined[0].chi2 == 1.0 and joined[0].evaluations == 6
     # The angle of hardly any wear means nothing.
-    shallow = [Minimum(np.array(p), 1.0, 1, True, 1) for p in ([0.01, -20.0], [0.03, 14.0])]
+    shallow = [WearMinimum(np.array(p), 1.0, 1, True, 1) for p in ([0.01, -20.0], [0.03, 14.0])]
     assert len(merge(shallow)) == 1
 
 
-def test_profile_interval_of_a_nearly_straight_model_is_the_usual_one(noisy: tuple[Misfit, Minimum]) -> None:
+def test_profile_interval_of_a_nearly_straight_model_is_the_usual_one(
+    noisy: tuple[WornMisfit, WearMinimum],
+) -> None:
     """Within 15 % of estimate +- 1.96 standard errors, and the misfit increases by 1.96^2 at its ends."""
     misfit, best = noisy
     jacobian = misfit.jacobian(best.parameters)
@@ -150,14 +152,16 @@ def test_profile_interval_of_a_nearly_straight_model_is_the_usual_one(noisy: tup
             assert profile_distance(misfit, best, {number: end}) == pytest.approx(1.96, abs=0.05)
 
 
-def test_interval_does_not_depend_on_the_first_guess(noisy: tuple[Misfit, Minimum]) -> None:
+def test_interval_does_not_depend_on_the_first_guess(noisy: tuple[WornMisfit, WearMinimum]) -> None:
     misfit, best = noisy
     guesses = [profile_interval(misfit, best, 0, guess) for guess in (0.01, 0.3, 30.0)]
     np.testing.assert_allclose([one.low for one in guesses], guesses[0].low, atol=0.03)
     np.testing.assert_allclose([one.high for one in guesses], guesses[0].high, atol=0.03)
 
 
-def test_joint_region_is_where_chi_square_rises_by_its_quantile(noisy: tuple[Misfit, Minimum]) -> None:
+def test_joint_region_is_where_chi_square_rises_by_its_quantile(
+    noisy: tuple[WornMisfit, WearMinimum],
+) -> None:
     misfit, best = noisy
     jacobian = misfit.jacobian(best.parameters)
     outline = joint_region(misfit, best, np.linalg.inv(jacobian.T @ jacobian), directions=8)
@@ -167,7 +171,7 @@ def test_joint_region_is_where_chi_square_rises_by_its_quantile(noisy: tuple[Mis
 
 def test_an_interval_ends_at_the_bound_where_nothing_stops_it() -> None:
     misfit = misfit_of(measured(worn_rig(0.0), 0.05, np.random.default_rng(1)))
-    misfit, best = healthy_minimum(misfit, Minimum(np.array([0.0, 0.0]), 0.0, 1, True, 1))
+    misfit, best = healthy_minimum(misfit, WearMinimum(np.array([0.0, 0.0]), 0.0, 1, True, 1))
     angle = profile_interval(misfit, best, 1, 1e4)
     assert (angle.low, angle.high) == (-20, 20) and angle.open_low and angle.open_high
     depth = profile_interval(misfit, best, 0, 1.0)
@@ -194,10 +198,10 @@ def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.
     misfit = misfit_of(measured(worn_rig(*TRUTH), 1e-3, np.random.default_rng(8)))
     misfit, best = refine(misfit, minima(misfit, start_mesh(wear_settings(), misfit))[0])
     refinements: list[bool] = []
-    films = WornModel.refined
+    films = WornModel.refine
     monkeypatch.setattr(
         WornModel,
-        "refined",
+        "refine",
         lambda model, here, slopes=True: refinements.append(slopes) or films(model, here, slopes),
     )
     _, healthy = healthy_minimum(misfit, best)
@@ -206,7 +210,7 @@ def test_no_wear_that_is_out_of_the_question_is_not_refined(monkeypatch: pytest.
 
 
 @pytest.mark.long
-def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[Misfit, Minimum]) -> None:
+def test_both_ways_to_the_probability_agree_where_they_meet(noisy: tuple[WornMisfit, WearMinimum]) -> None:
     """Laplace's formula for a narrow peak against a plain sum over a fine mesh around it."""
     misfit, best = noisy
     jacobian = misfit.jacobian(best.parameters)

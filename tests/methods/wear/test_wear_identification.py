@@ -23,7 +23,7 @@ from labpipe.methods.wear.search import minima, refine, start_mesh
 from labpipe.methods.wear.settings import WearSettings, posterior
 from labpipe.methods.wear.virtual_rig import receptance
 from labpipe.records.identification import Fit
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 from tests.methods.wear.worn_cases import without_region
 
@@ -56,7 +56,7 @@ def measured(
             rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape)
         ) / np.sqrt(2)
     return FrequencyResponse(
-        lines, matrix, PORTS, PORTS, covariance=uncorrelated(np.full(matrix.shape, std**2))
+        lines, matrix, PORTS, PORTS, covariance=diagonal_covariance(np.full(matrix.shape, std**2))
     )
 
 

@@ -25,10 +25,10 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.rotor.shaft import Support
+from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.wear import tables
 from labpipe.methods.wear.settings import WearSettings
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 from tests.methods.journal_bearing.reynolds_reference import Bearing, coefficients
 from tests.methods.wear.worn_cases import without_region
@@ -95,7 +95,7 @@ def response(rig: RotorRig, coefficients: np.ndarray) -> np.ndarray:
     """H on the lines with the *coefficients* of its films, (n_line, 2, 2) [m/N]."""
     nodes = [place.node for place in rig.bearings]
     free = reduced_rotor(rig.rotor, (*nodes, rig.force, rig.response), LINES, rig.omega)
-    supports = [Support(node, *film) for node, film in zip(nodes, coefficients, strict=True)]
+    supports = [NodeSupport(node, *film) for node, film in zip(nodes, coefficients, strict=True)]
     return free.on(supports).response(rig.response, rig.force)
 
 
@@ -115,7 +115,7 @@ def errors(state: State, n_draw: int, number: int) -> np.ndarray:
             rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape)
         ) / np.sqrt(2)
         measured = FrequencyResponse(
-            LINES, matrix, PORTS, PORTS, covariance=uncorrelated(np.full(exact.shape, std**2))
+            LINES, matrix, PORTS, PORTS, covariance=diagonal_covariance(np.full(exact.shape, std**2))
         )
         (fit,) = identify(measured, FitSettings("worn-bearing", model_settings=settings, name="wear"))
         rows.append([])

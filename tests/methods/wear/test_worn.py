@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.methods.rotor.response import dynamic_stiffness, reduced_rotor
-from labpipe.methods.rotor.shaft import Rotor, Support, free_rotor
+from labpipe.methods.rotor.shaft import NodeSupport, Rotor, free_rotor
 from labpipe.methods.wear.tables import VaryingSupport, forward_backward, response_with_slopes
 from tests.methods.rotor.whole_response import frequency_response
 from tests.methods.wear.worn_cases import WornRig, worn_response
@@ -28,18 +28,18 @@ def simple_wear(depth: float, angle: float) -> VaryingSupport:
         -(part**2) * np.sin(angle),
     )
     slopes = [np.stack([by_depth * matrix, by_angle * matrix + matrix.T]) for matrix in (K, C)]
-    return VaryingSupport(Support(14, factor * K + angle * K.T, factor * C + angle * C.T), *slopes)
+    return VaryingSupport(NodeSupport(14, factor * K + angle * K.T, factor * C + angle * C.T), *slopes)
 
 
 @pytest.fixture(scope="module")
 def rig(mendes_rotor: Rotor) -> WornRig:
     free = reduced_rotor(mendes_rotor, (4, 10, 14), LINES, SPEED)
-    return WornRig(free.on([Support(4, K, C)]), simple_wear, 14, 10)
+    return WornRig(free.on([NodeSupport(4, K, C)]), simple_wear, 14, 10)
 
 
 def test_response_is_that_of_the_whole_rotor(rig: WornRig, mendes_rotor: Rotor) -> None:
     response, _ = worn_response(20e-6, 0.2, rig)
-    supports = [Support(4, K, C), simple_wear(20e-6, 0.2).support]
+    supports = [NodeSupport(4, K, C), simple_wear(20e-6, 0.2).support]
     whole = frequency_response(
         mendes_rotor, supports, LINES, SPEED, mendes_rotor.dofs(14), mendes_rotor.dofs(10)
     )
@@ -61,7 +61,7 @@ def test_reduced_rotor_is_that_of_all_nodes_together(mendes_rotor: Rotor, nodes:
 def test_paths_are_parts_of_the_whole_response(mendes_rotor: Rotor) -> None:
     free, supports = (
         reduced_rotor(mendes_rotor, (4, 10, 14), LINES, SPEED),
-        [Support(14, K, C), Support(4, K.T, C)],
+        [NodeSupport(14, K, C), NodeSupport(4, K.T, C)],
     )
     standing = free.on(supports)
     response, to_output, from_force = free.paths(supports, 10, 4)
@@ -101,7 +101,7 @@ def test_two_bearings_with_shared_parameters(mendes_rotor: Rotor) -> None:
         left, right = simple_wear(first, 0.1), simple_wear(second, 0.1)
         return [
             VaryingSupport(
-                Support(4, left.support.stiffness, left.support.damping),
+                NodeSupport(4, left.support.stiffness, left.support.damping),
                 left.stiffness_slopes,
                 left.damping_slopes,
             ),
@@ -123,7 +123,7 @@ def test_a_derivative_is_zero_where_the_parameter_is_not_felt(rig: WornRig) -> N
 def test_reduced_response_does_not_depend_on_which_other_nodes_were_kept(
     rig: WornRig, mendes_rotor: Rotor
 ) -> None:
-    more = reduced_rotor(mendes_rotor, (1, 4, 7, 10, 14, 16), LINES, SPEED).on([Support(4, K, C)])
+    more = reduced_rotor(mendes_rotor, (1, 4, 7, 10, 14, 16), LINES, SPEED).on([NodeSupport(4, K, C)])
     other = WornRig(more, simple_wear, 14, 10)
     for ours, theirs in zip(worn_response(1e-5, 0.1, other), worn_response(1e-5, 0.1, rig), strict=True):
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())

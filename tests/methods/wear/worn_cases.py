@@ -18,11 +18,11 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.response import ReducedRotor
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor
-from labpipe.methods.wear.model import MISFITS, Misfit, WornReceptance, worn_model, worn_receptance
+from labpipe.methods.wear.model import MISFITS, WornMisfit, WornReceptance, worn_model, worn_receptance
 from labpipe.methods.wear.settings import WearSettings
 from labpipe.methods.wear.tables import VaryingSupport, forward_backward, response_with_slopes
 from labpipe.methods.wear.virtual_rig import receptance
-from labpipe.records.response import FrequencyResponse, Port, uncorrelated
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import Uncertain
 
 RIG = load_rotor(Path(__file__).parents[3] / "configs/rotors/mendes.yaml")
@@ -86,11 +86,11 @@ def measured(
         matrix = matrix + std * (
             rng.standard_normal(matrix.shape) + 1j * rng.standard_normal(matrix.shape)
         ) / np.sqrt(2)
-    covariance = uncorrelated(np.full(matrix.shape, std**2)) if known else None
+    covariance = diagonal_covariance(np.full(matrix.shape, std**2)) if known else None
     return FrequencyResponse(lines, matrix, PORTS, PORTS, covariance=covariance)
 
 
-def misfit_of(found: FrequencyResponse, **changes: object) -> Misfit:
+def misfit_of(found: FrequencyResponse, **changes: object) -> WornMisfit:
     """The misfit of a response under some settings."""
     settings = fit_settings(**changes)
     assert settings.model_settings is not None

@@ -20,7 +20,7 @@ CHUNK_ROWS = 1 << 16
 class R16Table:
     """Columns by name, units and rate as the file states them, read in chunks.
 
-    Satisfies labpipe.raw_files.table.Table.
+    Satisfies labpipe.raw_files.table.RawTable.
     """
 
     def __init__(self, path: Path) -> None:
