@@ -80,7 +80,7 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         others = (name for name in TABLE if name not in COMMANDS)
         words = {name: says for name, (_, says) in COMMANDS.items()}
-        words |= {name: TABLE.load(name).get_short_help_str(limit=80) for name in others}
+        words |= {name: TABLE.load(name).get_short_help_str(limit=100) for name in others}
         with formatter.section("Commands"):
             formatter.write_dl([(name, words[name]) for name in TABLE])
 

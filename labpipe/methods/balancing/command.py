@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 UNLIKELY, WORTHWHILE = 0.01, 0.8
 
 
-@click.command()
+@click.command(short_help="Balance weights by trial runs, by a model of the rotor, or by both.")
 @click.argument("balance_path", metavar="FILE", type=options.PATH)
 @click.option(
     "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."
