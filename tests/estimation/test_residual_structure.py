@@ -152,8 +152,9 @@ def test_what_few_draws_show_to_be_noise_needs_no_more() -> None:
     for slope, usual in ((0.0, True), (0.8, False)):
         structure = residual_structure(noise + slope * np.tile(np.linspace(-1, 1, n_line), 2), jacobian, size)
         assert structure is not None and (structure.p_value >= 0.1) == usual
-        ranks = structure.p_value * np.array([300, 2000])
-        assert (np.abs(ranks - np.round(ranks)) < 1e-9).tolist() == [usual, not usual]
+        # Which rank it is depends on ties, and so on the processor's rounding; not among how many it is.
+        rank = structure.p_value * (300 if usual else 2000)
+        assert abs(rank - round(rank)) < 1e-9
 
 
 def test_few_lines_show_no_structure() -> None:
