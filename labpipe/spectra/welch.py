@@ -1,7 +1,14 @@
-"""Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method)."""
+"""Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
+
+Three ways of one job. Blocks that stay in the cache: LineProducts, whose small matrices BLAS multiplies
+line by line. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one
+complex transform and every operation runs over a long row. Longer blocks of other channels: RowProducts, in
+which a channel of two segments is one transform.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,34 +21,38 @@ from labpipe.processes import by_turns, threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Samples of a block from which on two threads pay.
-SAMPLES_OF_SHORT = 80_000
+# Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together;
+# most channels that are worth packing, and samples per channel from which on it pays.
+SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
 # Segments transformed together [samples, segments]: few enough to stay in the cache and, of very long blocks,
-# in memory.
-CACHED_SAMPLES, MOST_SAMPLES, SEGMENTS_AT_ONCE = 1 << 18, 1 << 22, 18
-# Complex numbers of products of lines that stay in the cache together with what they are made of.
-CACHED_NUMBERS = 1 << 15
+# in memory. Long rows are fastest with fewer, of no more than LONG_SAMPLES of a channel together.
+CACHED_SAMPLES = 1 << 18
+MOST_SAMPLES = 1 << 22
+SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
+# Complex numbers of a product that stay in the cache together with what they are made of.
+CACHED_PRODUCTS = 1 << 15
+# The same for rows of all channels; rows transposed, and lines whose products are made, in the cache.
+PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
-class SegmentProducts:
+class SegmentProducts(ABC):
     """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the
     transform. FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines
     that differ from zero. Equation (spec-trend).
     """
 
-    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+    def __init__(
+        self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int
+    ) -> None:
         """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row,
-        n_disturbed): FFT(w b_p) from there.
+        n_disturbed): FFT(w b_p) from there. *n_together*: segments transformed at once, where memory allows
+        it.
         """
-        n, size = window.size, window.size * n_channel
-        self._lines, self._trend = lines, trend
-        self._room = max(1, min(max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // size), MOST_SAMPLES // size))
-        self._n_thread = threads() if size > SAMPLES_OF_SHORT else 1
-        self._taper = np.repeat(window, n_channel).reshape(n, n_channel)
-        self._tapered = np.empty((self._room, n, n_channel))
+        self._n, self._lines, self._n_channel, self._trend = window.size, lines, n_channel, trend
+        self._room = max(1, min(n_together, MOST_SAMPLES // (window.size * n_channel)))
         self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
-        self._n_waiting = self.n_block = 0
+        self._n_waiting = 0
+        self.n_block = 0
 
     @property
     def room(self) -> int:
@@ -53,7 +64,7 @@ class SegmentProducts:
         n_channel) [channel unit].
         """
         place = slice(self._n_waiting, self._n_waiting + segments.shape[0])
-        np.multiply(segments, self._taper, out=self._tapered[place])
+        self._taper_into(place, segments)
         self._coefficients[place] = coefficients
         self._n_waiting = place.stop
         if self.room == 0:
@@ -61,37 +72,203 @@ class SegmentProducts:
 
     def flush(self) -> None:
         """Add what is waiting to the sums."""
-        if not self._n_waiting:
-            return
-        waiting = slice(self._n_waiting)
-        amplitude = fft.rfft(self._tapered[waiting], axis=1, workers=self._n_thread)
-        kept = amplitude[:, self._lines[0] : self._lines[-1] + 1]
-        for number, trend in enumerate(self._trend):
-            kept[:, : trend.size] -= trend[None, :, None] * self._coefficients[waiting, number, None, :]
-        _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
-        self.n_block += self._n_waiting
-        self._n_waiting = 0
+        if self._n_waiting:
+            self._add(self._n_waiting, self._coefficients[: self._n_waiting])
+            self.n_block += self._n_waiting
+            self._n_waiting = 0
 
+    @abstractmethod
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        """Keep segments (n_segment, n, n_channel) times the window."""
+
+    @abstractmethod
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        """Transform the first *n_segment* that are kept and add their products. Coefficients (n_segment,
+        n_row, n_channel).
+        """
+
+    @abstractmethod
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit. Of
-        all b, or of *columns*. X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later
-        channel's row. A few lines at a time, which stay in the cache; lines are last in memory.
+        all b, or of *columns*.
         """
-        n_line, n = self._sum.shape[:2]
-        chosen = range(n) if columns is None else columns
-        matrix = np.empty((n, len(chosen), n_line), np.complex128)
-        n_chunk = max(1, CACHED_NUMBERS // n**2)
+
+
+def segment_products(
+    window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+) -> SegmentProducts:
+    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment. The other
+    arguments as for SegmentProducts.
+    """
+    if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
+        return PackedProducts(window, lines, n_channel, trend)
+    if window.size * n_channel <= SAMPLES_OF_SHORT:
+        return LineProducts(window, lines, n_channel, trend)
+    return RowProducts(window, step, lines, n_channel, trend)
+
+
+class LineProducts(SegmentProducts):
+    """Products of matrices line by line, for blocks of few lines."""
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        n_together = max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel))
+        super().__init__(window, lines, n_channel, trend, n_together)
+        self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
+        self._tapered = np.empty((self._room, self._n, n_channel))
+        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        np.multiply(segments, self._taper, out=self._tapered[place])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        amplitude = fft.rfft(self._tapered[:n_segment], axis=1)
+        kept = amplitude[:, self._lines[0] : self._lines[-1] + 1]
+        for number, trend in enumerate(self._trend):
+            kept[:, : trend.size] -= trend[None, :, None] * coefficients[:, number, None, :]
+        _add_matrices(kept.swapaxes(0, 1), self._sum)
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
+        return _matrix_of(self._sum, columns, scale)
+
+
+class PackedProducts(SegmentProducts):
+    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them. X_2k(f) =
+    (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f) Z_m(f)*,
+    Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
+    """
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        super().__init__(
+            window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
+        )
+        n_pair, n_line = n_channel // 2, len(lines)
+        self._taper = window.astype(np.complex128)
+        self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
+        # Products with the conjugates of the pairs up to the same one, of positive and of negative
+        # frequencies in rising order.
+        self._positive = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._negative = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
+        self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
+        n_line, n = len(self._lines), self._n
+        positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
+        negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[:, number, 0::2, None] + 1j * coefficients[:, number, 1::2, None]
+            positive[:, :, : trend.size] -= weight * trend
+            negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
+        n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
+        product = np.empty((transformed.shape[1], n_chunk), np.complex128)
         for start in range(0, n_line, n_chunk):
-            lines = slice(start, start + n_chunk)
-            part = self._sum[lines] * scale
-            np.einsum("laa->la", part).imag[...] = 0.0
-            for number, column in enumerate(chosen):
-                matrix[column:, number, lines] = part[:, column:, column].T
-                np.conjugate(part[:, column, :column].T, out=matrix[:column, number, lines])
-        return matrix.transpose(2, 0, 1)
+            lines = slice(start, min(start + n_chunk, n_line))
+            mirrored, room = slice(n_line - lines.stop, n_line - start), product[:, : lines.stop - start]
+            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
+                _add_products(above, above.conj(), self._positive, lines, room)
+                _add_products(below, below.conj(), self._negative, mirrored, room)
+                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
+        n = self._n_channel
+        matrix = np.empty((n, n, len(self._lines)), np.complex128)
+        for k in range(len(self._positive)):
+            for m in range(k + 1):
+                positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
+                left, right = self._crossed[k, m], self._crossed[m, k].conj()
+                even, odd = positive + negative, positive - negative
+                cross, turned = left + right, left - right
+                matrix[2 * k, 2 * m] = (even + cross) * 0.25
+                matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
+                matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
+                matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
+        return _hermitian_lines(matrix, columns, scale)
 
 
-def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int) -> None:
+class RowProducts(SegmentProducts):
+    """Products of matrices line by line, of transforms of two segments each, z = x_1 + i x_2. X_1a(f)
+    X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
+    """
+
+    def __init__(
+        self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+    ) -> None:
+        """*step* [samples] from a segment to the next; the other arguments as for SegmentProducts."""
+        super().__init__(window, lines, n_channel, trend, 2 * PAIRS_AT_ONCE)
+        n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
+        self._room, self._step, self._window = 2 * n_pair, step, window
+        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
+        # A pair that waits for its second segment is in the place of the first thread.
+        self._n_thread = threads()
+        self._rows = np.empty((self._n_thread, n_channel, window.size + step))
+        self._pair = np.empty((self._n_thread, n_channel, window.size), np.complex128)
+        # Positive frequencies of every pair, and conjugates of negative ones.
+        self._amplitude = np.zeros((n_pair, 2, len(lines), n_channel), np.complex128)
+        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
+
+    def _taper_into(self, place: slice, segments: FloatArray) -> None:
+        begun = place.start % 2
+        if begun:
+            self._put(place.start, segments[0], 0)
+        pairs = range(place.start + begun, place.stop - 1, 2)
+
+        def transform(some: Sequence[int], thread: int) -> None:
+            for first in some:
+                for number in (first, first + 1):
+                    self._put(number, segments[number - place.start], thread)
+
+        by_turns(transform, pairs, self._n_thread)
+        if place.stop % 2:
+            self._put(place.stop - 1, segments[-1], 0)
+
+    def _put(self, number: int, segment: FloatArray, thread: int) -> None:
+        """Taper a *segment* (n, n_channel), and transform the pair of which it is the second."""
+        is_second = number % 2 == 1
+        n_known = max(self._n - self._step, 0) if is_second else 0
+        begin = self._step if is_second else 0
+        rows, pair = self._rows[thread], self._pair[thread]
+        for start in range(n_known, self._n, CACHED_ROWS):
+            end = min(start + CACHED_ROWS, self._n)
+            rows[:, begin + start : begin + end] = segment[start:end].T
+        half = pair.imag if is_second else pair.real
+        np.multiply(rows[:, begin : begin + self._n], self._window, out=half)
+        if is_second:
+            self._transform(number // 2, pair)
+
+    def _transform(self, number: int, pair: ComplexArray) -> None:
+        transformed = fft.fft(pair, axis=1, overwrite_x=True).T
+        n, lines, kept = self._n, self._lines, self._amplitude[number]
+        positive = transformed[lines[0] : lines[-1] + 1]
+        negative = transformed[n - lines[-1] : n - lines[0] + 1][::-1]
+        for start in range(0, len(lines), CACHED_ROWS):
+            chunk = slice(start, start + CACHED_ROWS)
+            kept[0, chunk] = positive[chunk]
+            np.conjugate(negative[chunk], out=kept[1, chunk])
+
+    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
+        n_pair = (n_segment + 1) // 2
+        if n_segment % 2:
+            self._pair[0].imag = 0.0
+            self._transform(n_pair - 1, self._pair[0])
+        for number, trend in enumerate(self._trend):
+            weight = coefficients[0::2, number].astype(np.complex128)
+            weight[: n_segment // 2] += 1j * coefficients[1::2, number]
+            both = np.stack([weight, weight.conj()], axis=1)
+            self._amplitude[:n_pair, :, : trend.size] -= both[:, :, None] * trend[:, None]
+        kept = self._amplitude[:n_pair].reshape(2 * n_pair, len(self._lines), -1)
+        _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
+        return _matrix_of(self._sum, columns, 0.5 * scale)
+
+
+def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
     """Add sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), lines that stay in the cache together."""
     n_line, n = sums.shape[:2]
     n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
@@ -104,6 +281,43 @@ def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int) ->
             sums[chunk] += np.matmul(part.swapaxes(1, 2), part.conj(), out=product[: chunk.stop - start])
 
     by_turns(add, range(0, n_line, n_chunk), n_thread)
+
+
+def _add_products(
+    left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
+) -> None:
+    """Add to *sums* of pair k left[k] times the first n_other rows of *right*, (n_pair, n_line)."""
+    for row, into in zip(left, sums, strict=True):
+        into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
+
+
+def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """Matrices (n, n, n_line) with a right lower triangle as (n_line, n, n), lines last in memory."""
+    for row in range(matrix.shape[0]):
+        matrix[row, row].imag = 0.0
+        for column in range(row):
+            np.conjugate(matrix[row, column], out=matrix[column, row])
+    matrix *= scale
+    return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
+
+
+def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
+    """*scale* times *sums* (n_line, n, n), or their *columns*, Hermitian to the last digit. X_a X_b* and (X_b
+    X_a*)* differ by rounding: of each pair that of the later channel's row. A few lines at a time, which stay
+    in the cache; lines are last in memory.
+    """
+    n_line, n = sums.shape[:2]
+    chosen = range(n) if columns is None else columns
+    matrix = np.empty((n, len(chosen), n_line), np.complex128)
+    n_chunk = max(1, CACHED_NUMBERS // n**2)
+    for start in range(0, n_line, n_chunk):
+        lines = slice(start, start + n_chunk)
+        part = sums[lines] * scale
+        np.einsum("laa->la", part).imag[...] = 0.0
+        for number, column in enumerate(chosen):
+            matrix[column:, number, lines] = part[:, column:, column].T
+            np.conjugate(part[:, column, :column].T, out=matrix[:column, number, lines])
+    return matrix.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -143,7 +357,7 @@ class WelchAverage:
         trend = fft.rfft(window * self._basis, axis=1)[:, lines]
         above = np.abs(trend) > np.finfo(float).eps * np.sqrt(2 * trend.shape[1])
         trend = trend[:, : np.max(np.flatnonzero(np.any(above, axis=0)), initial=-1) + 1]
-        self._products = SegmentProducts(window, self._lines, n_channel, trend)
+        self._products = segment_products(window, step, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:

@@ -1,19 +1,36 @@
-"""Cross-products of segments against sums written out with numpy.fft."""
+"""Cross-products of segments: all three ways against sums written out with numpy.fft."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from labpipe.spectra.welch import SAMPLES_OF_SHORT, SegmentProducts, WelchAverage, trend_basis
+from labpipe.spectra.welch import (
+    MOST_PACKED,
+    PACKED_FROM,
+    SAMPLES_OF_SHORT,
+    LineProducts,
+    PackedProducts,
+    RowProducts,
+    SegmentProducts,
+    WelchAverage,
+    segment_products,
+    trend_basis,
+)
 from labpipe.spectra.windows import window_values
 
 
 @pytest.mark.parametrize("lines", [range(1, 33), range(1, 32), range(5, 12)])
 @pytest.mark.parametrize(("n", "step"), [(64, 64), (64, 24), (65, 24)])
-@pytest.mark.parametrize("n_channel", [1, 2, 3, 4])
+@pytest.mark.parametrize(
+    ("way", "n_channel"),
+    [
+        *((way, n) for way in (LineProducts, RowProducts) for n in (1, 2, 3, 4)),
+        *((PackedProducts, n) for n in (2, 4)),
+    ],
+)
 def test_sums_are_those_written_out(
-    rng: np.random.Generator, n: int, step: int, lines: range, n_channel: int
+    rng: np.random.Generator, way: type[SegmentProducts], n: int, step: int, lines: range, n_channel: int
 ) -> None:
     # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by
     # segment.
@@ -21,7 +38,11 @@ def test_sums_are_those_written_out(
     samples = rng.normal(size=(6 * step + n, n_channel)) + 3.0
     segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step].swapaxes(1, 2)
     trend = np.fft.rfft(window * basis, axis=1)[:, lines.start : lines.stop]
-    products = SegmentProducts(window, lines, n_channel, trend)
+    products = (
+        way(window, step, lines, n_channel, trend)
+        if way is RowProducts
+        else way(window, lines, n_channel, trend)
+    )
     for chunk in (segments[:3], segments[3:]):
         while chunk.shape[0]:
             number = min(products.room, chunk.shape[0])
@@ -38,25 +59,31 @@ def test_sums_are_those_written_out(
     assert products.n_block == 7
 
 
-@pytest.mark.parametrize("n_channel", [2, 5])
+def test_long_blocks_are_packed_where_channels_are_few_and_in_pairs_and_in_rows_elsewhere() -> None:
+    trend = np.empty((0, 1), complex)
+    for n, n_channel, way in (
+        (2 * PACKED_FROM, 2, PackedProducts),
+        (2 * PACKED_FROM - 1, 2, LineProducts),
+        (MOST_PACKED * PACKED_FROM, MOST_PACKED, PackedProducts),
+        (SAMPLES_OF_SHORT // 3, 3, LineProducts),
+        (SAMPLES_OF_SHORT // 3 + 1, 3, RowProducts),
+        (SAMPLES_OF_SHORT // 8, 8, LineProducts),
+        (SAMPLES_OF_SHORT // 8 + 1, 8, RowProducts),
+    ):
+        assert isinstance(segment_products(np.ones(n), n // 2, range(1, 4), n_channel, trend), way)
+
+
+@pytest.mark.parametrize(("n_channel", "way"), [(2, PackedProducts), (5, RowProducts)])
 def test_two_threads_change_no_byte(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, n_channel: int
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, n_channel: int, way: type[SegmentProducts]
 ) -> None:
     """Blocks of uneven numbers of segments, long enough for several chunks of lines."""
-    n, matrices = SAMPLES_OF_SHORT // n_channel + 1, []
-    samples = rng.normal(size=(9 * n, n_channel))
+    samples, matrices = rng.normal(size=(180_000, n_channel)), []
     for n_thread in (1, 2):
         monkeypatch.setattr("labpipe.spectra.welch.threads", lambda n_thread=n_thread: n_thread)
-        average = WelchAverage(window_values("hann", n), n // 3, n_channel)
+        average = WelchAverage(window_values("hann", 20_000), 7_000, n_channel)
         for start in range(0, samples.shape[0], 50_000):
             average.add(samples[start : start + 50_000])
-        assert average._products._n_thread == n_thread
+        assert isinstance(average._products, way)
         matrices.append(average.spectra(1.0).matrix)
     np.testing.assert_array_equal(*matrices)
-
-
-def test_short_blocks_have_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labpipe.spectra.welch.threads", lambda: 2)
-    trend = np.empty((0, 1), complex)
-    for n, n_thread in ((SAMPLES_OF_SHORT // 2, 1), (SAMPLES_OF_SHORT // 2 + 1, 2)):
-        assert SegmentProducts(np.ones(n), range(1, 4), 2, trend)._n_thread == n_thread
