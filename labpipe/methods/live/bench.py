@@ -24,7 +24,7 @@ from labpipe.estimation.model import DynamicModel, Equation, Setup
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate as FitEstimate
 from labpipe.estimation.transfer_mode import transfer_of
-from labpipe.methods.live import charts, running_fit, sources
+from labpipe.methods.live import charts, cutters, running_fit
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.recording import Channel, Recording
@@ -50,7 +50,7 @@ class FollowedFit:
     """
 
     def __init__(
-        self, settings: FitSettings, layout: Layout, cutter: sources.Cutter, lines: IntArray, block: float
+        self, settings: FitSettings, layout: Layout, cutter: cutters.Cutter, lines: IntArray, block: float
     ) -> None:
         self.settings = settings
         self.setup, rows, columns = _setup(settings, layout)
@@ -93,12 +93,12 @@ class FollowedFit:
         assert self.estimate is not None
         return self.estimate
 
-    def pick(self, average: sources.Average) -> ComplexArray:
+    def pick(self, average: cutters.Average) -> ComplexArray:
         """The fit's lines and channels, sensors taken out, (n_line, 1, n_channel) [channels' units]."""
         z = average.amplitude[self._lines][:, self._channels] / self._sensors
         return z[:, None, :]
 
-    def check(self, averages: Sequence[sources.Average]) -> None:
+    def check(self, averages: Sequence[cutters.Average]) -> None:
         """FitError for the first *averages* of a direction that show no motion, or no noise at all."""
         z = np.array([self.pick(average) for average in averages])
         for number, port in enumerate(self.setup.outputs):
@@ -251,7 +251,7 @@ class FollowedFit:
         half-width *goal* [parameter unit]; None where all did.
         """
         sizes = np.linalg.norm(self.sums.mean[..., len(self.setup.outputs) :], axis=0)
-        acted = np.any(sizes >= sources.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
+        acted = np.any(sizes >= cutters.ACTS * sizes.max(axis=1, keepdims=True), axis=0)
         forces = [int(n) for n in np.flatnonzero(~acted)]
         if not forces:
             return None
@@ -288,7 +288,7 @@ def obstacle(settings: FitSettings, frf: FrfSettings, channels: Sequence[Channel
     of_all = any((settings.eliminate, settings.bootstrap, settings.monte_carlo, settings.compare))
     several = settings.sliding is not None or settings.peaks or len(settings.bands) > 1
     reasons = (
-        (excitation not in sources.CUTTERS, f"{excitation} data are known by all samples together"),
+        (excitation not in cutters.CUTTERS, f"{excitation} data are known by all samples together"),
         (not frf.single_averages, "its FRF follows from all averages together"),
         (settings.kind.of == SPECTRA, f"{model} balances all channels by mass and support, not an FRF"),
         (settings.kind.equations is None, f"the model {model} is not linear in its parameters"),
@@ -338,13 +338,13 @@ class Bench(charts.GoalWatch):
     """All fits of a pipeline, followed over the samples of one stream."""
 
     def __post_init__(self) -> None:
-        self.cutter: sources.Cutter = sources.CUTTERS[self.frf.excitation](
+        self.cutter: cutters.Cutter = cutters.CUTTERS[self.frf.excitation](
             self.channels, self.sample_rate, self.frf
         )
         self.layout = layout_of(self.cutter.channels, self.sample_rate)
         self.fits: list[FollowedFit] = []
         self.dropped = 0
-        self._waiting: list[sources.Average] = []
+        self._waiting: list[cutters.Average] = []
         self._energies: list[float] = []
         self._last_start = 0
         self._starts: list[int] = []
@@ -371,11 +371,9 @@ class Bench(charts.GoalWatch):
             made.append(update)
         return made
 
-    def _take(self, average: sources.Average) -> charts.Update:
-        event, fault = (
-            f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s",
-            average.fault,
-        )
+    def _take(self, average: cutters.Average) -> charts.Update:
+        event = f"{self.what} {average.number} at {average.start / self.sample_rate:.3f} s"
+        fault = average.fault
         if not fault and not self.fits:
             self._waiting.append(average)
             # Noise is told by two averages of one direction.
@@ -393,12 +391,12 @@ class Bench(charts.GoalWatch):
             event += f" is left out: {fault}"
         return self._update((event,))
 
-    def _level(self, average: sources.Average) -> float:
+    def _level(self, average: cutters.Average) -> float:
         """The size of all forces of an average [N]."""
         force = average.amplitude[:, list(self.layout.input_columns[0])]
         return float(np.sqrt(np.mean(np.abs(force) ** 2)))
 
-    def _begin(self, alike: Sequence[sources.Average]) -> None:
+    def _begin(self, alike: Sequence[cutters.Average]) -> None:
         frequency, amplitudes = self.cutter.frequency, np.array([average.amplitude for average in alike])
         acting = np.ones((frequency.size, 1), bool)
         if not self.hits:
@@ -408,7 +406,7 @@ class Bench(charts.GoalWatch):
             noise = spread[:, :, None] * spread[:, None, :].conj()
             raw = LineSpectrum(frequency, mean, noise, 2, np.ones(frequency.size))
             spectrum = smoothed_noise(raw, self.frf.smooth)
-            strong = forces[level >= sources.ACTS * level.max()]
+            strong = forces[level >= cutters.ACTS * level.max()]
             acting = np.stack([excited_lines(spectrum, [column]) for column in strong], axis=1)
         acting &= lines_in(frequency, self.frf.band, self.frf.exclude)[:, None]
         chosen = np.all(acting, axis=1)
@@ -420,7 +418,7 @@ class Bench(charts.GoalWatch):
         for fit in self.fits:
             fit.check([replace(average, amplitude=average.amplitude[self.lines]) for average in alike])
 
-    def _follow(self, average: sources.Average) -> str:
+    def _follow(self, average: cutters.Average) -> str:
         average = replace(average, amplitude=average.amplitude[self.lines])
         direction, level = average.direction, self._level(average)
         parts = [fit.pick(average) for fit in self.fits]

@@ -96,8 +96,8 @@ def live(
     when the test ended before.
     """
     from labpipe.methods.live.charts import Goal
-    from labpipe.methods.live.session import Frames, Session, columns_of
-    from labpipe.methods.live.sources import open_source
+    from labpipe.methods.live.session import Session, columns_of
+    from labpipe.methods.live.sources import Frames, open_source
     from labpipe.project.pipeline_file import load_for_stream
 
     _check_source(source, simulate)
@@ -238,7 +238,8 @@ def _echo_by_hand(session: Session) -> None:
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
     import numpy as np
 
-    from labpipe.methods.live.session import Played, columns_of
+    from labpipe.methods.live.session import columns_of
+    from labpipe.methods.live.sources import Played
     from labpipe.project.simulate import load_virtual_rig
     from labpipe.raw_files.screening import TimeAxisScreen
     from labpipe.raw_files.table import check_names
@@ -264,7 +265,7 @@ def _finish(
     """Run the pipeline over the recording as `labpipe run` does, with the course of the test."""
     from labpipe.artefacts.writing import output_folder
     from labpipe.cli.terminal import echo_identification
-    from labpipe.methods.live.session import Frames
+    from labpipe.methods.live.sources import Frames
     from labpipe.project.one_test import silent
     from labpipe.project.pipeline_file import load_pipeline
     from labpipe.project.report import outdate_reports, write_reports

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
-import select
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
@@ -24,12 +19,11 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench, layout_of, names_of_fit, obstacle
 from labpipe.methods.live.charts import Forecast, Goal, GoalWatch, Standing, Update, lasting
-from labpipe.methods.live.sources import MOST_ROWS, Folder, SampleStream, is_old
+from labpipe.methods.live.sources import Folder, Frames, FrameStore, SampleStream, is_old
 from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
 from labpipe.project.measured import measurement
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.raw_files.table import check_names
 from labpipe.records.finding import WARNING, Finding, note, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
@@ -177,147 +171,6 @@ class WholeFits(GoalWatch):
             times = (standing.half**2 - floor**2) / (wanted**2 - floor**2)
             expected = max(self.averages, math.ceil(self.averages * times))
         return replace(standing, remaining=Forecast(expected), floor=floor)
-
-
-class FrameStore:
-    """Frames of *size* bytes on disk as they come, behind a *head*; *full*: why there is no more room."""
-
-    def __init__(self, path: Path, size: int, head: bytes = b"") -> None:
-        self.path, self.full, self._size, self._n_byte = path, "", size, -len(head)
-        # Without a buffer nothing waits to be written when the disk is full, or the process is killed.
-        self._file = path.open("wb", buffering=0)
-        self.add(head)
-
-    def add(self, content: bytes) -> None:
-        try:
-            while content and not self.full:
-                written = self._file.write(content)
-                self._n_byte, content = self._n_byte + written, content[written:]
-        except OSError as error:
-            self.full = (error.strerror or str(error)).lower()
-
-    @property
-    def n_frame(self) -> int:
-        """Whole frames that are on disk."""
-        return max(self._n_byte, 0) // self._size
-
-    def findings(self, rate: float) -> list[Finding]:
-        """What is said of a full disk, of frames at the *rate* [Hz]."""
-        message = f"{self.full}: samples from {self.n_frame / rate:.1f} s on are not kept, {self.n_frame} are"
-        return [Finding("disk-full", message)] if self.full else []
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class Frames:
-    """Raw frames: one JSON line that says rate, channels and type, then interleaved samples.
-
-    `{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}`; DataError for a head that says less. What
-    is read is first written to a file of the folder *keep*. The files that are there already, of processes
-    that were killed, come before what is read; *n_earlier* are their samples.
-    """
-
-    def __init__(self, stream: BinaryIO, columns: Sequence[str], keep: Path | None = None) -> None:
-        self.columns, self._rest, self.restarted, self._begins = list(columns), b"", False, False
-        self._head = stream.readline(1 << 16)
-        try:
-            stated = json.loads(self._head)
-            self.channels = [str(name) for name in stated["channels"]]
-            self.sample_rate: float | None = float(stated["sample_rate"])
-            self._kind = np.dtype(stated.get("dtype", "<f8"))
-        except (ValueError, KeyError, TypeError):
-            hint = 'begin with {"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}'
-            raise DataError("standard input begins with no header", hint=hint) from None
-        if self._kind.kind not in "iuf" or not self.sample_rate > 0:
-            raise DataError(f"samples of the type {self._kind} at {self.sample_rate:g} Hz cannot be read")
-        if len(set(self.channels)) < len(self.channels):
-            raise DataError("the header names a channel twice", "standard input", "give each its own name")
-        check_names(Path("standard input"), self.columns, self.channels)
-        self._picked = [self.channels.index(name) for name in self.columns]
-        self._frame = self._kind.itemsize * len(self.channels)
-        # A process that was killed before it read a frame leaves at most the head.
-        every = [] if keep is None else sorted(keep.glob("*.frames"))
-        self.files = [path for path in every if path.stat().st_size >= len(self._head) + self._frame]
-        self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
-        self._streams = [*(self._reopen(path) for path in self.files), stream]
-        self.kept: FrameStore | None = None
-        if keep is not None:
-            keep.mkdir(parents=True, exist_ok=True)
-            self.files.append(keep / f"{int(self.files[-1].stem) + 1 if self.files else 1:04}.frames")
-            self.kept = FrameStore(self.files[-1], self._frame, self._head)
-
-    def _reopen(self, path: Path) -> BinaryIO:
-        stream = path.open("rb")
-        if stream.readline(1 << 16) != self._head:
-            hint = "name another folder, or remove these frames"
-            raise DataError("holds frames of another test", path.parent, hint)
-        return stream
-
-    def read(self) -> FloatArray | None:
-        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
-        stream, self.restarted = self._streams[0], False
-        if len(self._streams) > 1:
-            text = stream.read(1 << 20)
-            if not text:
-                # What was cut off by the kill is not a frame; what follows is another recording.
-                stream.close()
-                self._streams, self._rest, self._begins = self._streams[1:], b"", True
-                return self.read()
-        else:
-            if not select.select([stream], [], [], 0.2)[0]:
-                return np.empty((0, len(self.columns)))
-            # What has come, without waiting for more.
-            text = stream.read1(1 << 20) if isinstance(stream, io.BufferedReader) else stream.read()
-            if not text:
-                return None
-            if self.kept is not None:
-                self.kept.add(text)
-        rows = self._rows(text)
-        self.restarted = self._begins and rows.shape[0] > 0
-        self._begins &= not self.restarted
-        return rows
-
-    def _rows(self, text: bytes) -> FloatArray:
-        whole = self._rest + text
-        end = len(whole) // self._frame * self._frame
-        self._rest = whole[end:]
-        frames = np.frombuffer(whole[:end], self._kind).reshape(-1, len(self.channels))
-        return frames[:, self._picked].astype(float)
-
-    def recordings(self, write_path: Callable[[str], Path]) -> list[Path]:
-        """What is on disk as Parquet files, one for each process, where *write_path* of their names says."""
-        schema, paths = pa.schema([(name, pa.float64()) for name in self.columns]), []
-        # Where all had been read before the kill, nothing comes behind it.
-        files = self.files[:-1] if self.kept and not self.kept.n_frame and self.n_earlier else self.files
-        for number, path in enumerate(files, 1):
-            paths.append(write_path(f"recording{f'-{number}' if len(files) > 1 else ''}.parquet"))
-            self._rest = b""
-            with self._reopen(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
-                while text := stream.read(1 << 22):
-                    writer.write_table(pa.table(list(self._rows(text).T), schema=schema))
-        return paths
-
-    def close(self) -> None:
-        if self.kept is not None:
-            self.kept.close()
-
-
-class Played:
-    """A recording in memory as if it were made now, *speed* [1] times as fast."""
-
-    def __init__(self, samples: FloatArray, sample_rate: float, speed: float) -> None:
-        self._samples, self.sample_rate, self._speed = samples, sample_rate, speed
-        self._done, self._began, self.restarted = 0, time.monotonic(), False
-
-    def read(self) -> FloatArray | None:
-        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
-        if self._done >= self._samples.shape[0]:
-            return None
-        due = int((time.monotonic() - self._began) * self._speed * self.sample_rate)
-        block = self._samples[self._done : min(due, self._done + MOST_ROWS)]
-        self._done += block.shape[0]
-        return block
 
 
 @dataclass

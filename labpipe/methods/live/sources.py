@@ -1,4 +1,5 @@
-"""Where samples come from while a test runs, growing files and folders, and how they are cut into averages.
+"""Where samples come from while a test runs: growing files, folders, raw frames on standard input, virtual
+rigs in real time.
 
 A source gives samples in the file's units, in the order of the rig's columns, as they come. Other packages
 add sources by the ending of their files under the entry-point group labpipe.sample_source.
@@ -6,29 +7,27 @@ add sources by the ending of their files under the entry-point group labpipe.sam
 
 from __future__ import annotations
 
+import io
+import json
+import select
 import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
-from scipy import fft
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files import mdf_table, tdms_table
 from labpipe.raw_files.other_tables import wav_chunks
 from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
-from labpipe.records.recording import Channel
+from labpipe.records.finding import Finding
 from labpipe.registry import Registry
-from labpipe.spectra import impact, windows
-from labpipe.spectra.bands import line_range
-from labpipe.spectra.channels import Lags
-from labpipe.spectra.period_average import samples_per_period
-from labpipe.spectra.settings import FrfSettings
 
 # Samples that are handed on at once.
 MOST_ROWS = 1 << 16
@@ -275,223 +274,142 @@ def is_old(path: Path, seconds: float) -> bool:
         return False
 
 
-# Share of the cross spectrum of two forces that one delay explains where they are the same signal.
-SAME_SIGNAL = 0.7
-# Likeness of the proportions of two forces from which on they shake the same direction, and share of the
-# largest one's amplitude with which a force acts.
-SAME_FORCES, ACTS = 0.8, 0.1
-# Least growth of the energy of a force that begins to shake its direction.
-GROWN = 4.0
-# A first hit stands out of the noise before it by so many times its rms.
-FIRST_HIT = 20.0
-# Errors of a force under its window that are told: more than in a run, where each is a source of the budget
-# of every hit.
-MOST_SHAPES = 4 * windows.MOST_COURSES
-# Hits below this share of the usual one tell little.
-WEAK = 0.1
+class FrameStore:
+    """Frames of *size* bytes on disk as they come, behind a *head*; *full*: why there is no more room."""
+
+    def __init__(self, path: Path, size: int, head: bytes = b"") -> None:
+        self.path, self.full, self._size, self._n_byte = path, "", size, -len(head)
+        # Without a buffer nothing waits to be written when the disk is full, or the process is killed.
+        self._file = path.open("wb", buffering=0)
+        self.add(head)
+
+    def add(self, content: bytes) -> None:
+        try:
+            while content and not self.full:
+                written = self._file.write(content)
+                self._n_byte, content = self._n_byte + written, content[written:]
+        except OSError as error:
+            self.full = (error.strerror or str(error)).lower()
+
+    @property
+    def n_frame(self) -> int:
+        """Whole frames that are on disk."""
+        return max(self._n_byte, 0) // self._size
+
+    def findings(self, rate: float) -> list[Finding]:
+        """What is said of a full disk, of frames at the *rate* [Hz]."""
+        message = f"{self.full}: samples from {self.n_frame / rate:.1f} s on are not kept, {self.n_frame} are"
+        return [Finding("disk-full", message)] if self.full else []
+
+    def close(self) -> None:
+        self._file.close()
 
 
-@dataclass(frozen=True)
-class Average:
-    """One period or hit: *amplitude* (n_line, n_channel) [units of channels] on the lines, its first sample
-    *start*, *number* from 1, the *fault* for which it is left out, and its *peaks* (n_channel,) [SI]. *noise*
-    (n_line,) [squared unit of the force] of the force in a hit; *direction*: number of that of its forces.
+class Frames:
+    """Raw frames: one JSON line that says rate, channels and type, then interleaved samples.
+
+    `{"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}`; DataError for a head that says less. What
+    is read is first written to a file of the folder *keep*. The files that are there already, of processes
+    that were killed, come before what is read; *n_earlier* are their samples.
     """
 
-    number: int
-    start: int
-    amplitude: ComplexArray
-    peaks: FloatArray
-    fault: str = ""
-    noise: FloatArray | None = None
-    direction: int = 0
+    def __init__(self, stream: BinaryIO, columns: Sequence[str], keep: Path | None = None) -> None:
+        self.columns, self._rest, self.restarted, self._begins = list(columns), b"", False, False
+        self._head = stream.readline(1 << 16)
+        try:
+            stated = json.loads(self._head)
+            self.channels = [str(name) for name in stated["channels"]]
+            self.sample_rate: float | None = float(stated["sample_rate"])
+            self._kind = np.dtype(stated.get("dtype", "<f8"))
+        except (ValueError, KeyError, TypeError):
+            hint = 'begin with {"sample_rate": 1000, "channels": ["f", "y"], "dtype": "<f8"}'
+            raise DataError("standard input begins with no header", hint=hint) from None
+        if self._kind.kind not in "iuf" or not self.sample_rate > 0:
+            raise DataError(f"samples of the type {self._kind} at {self.sample_rate:g} Hz cannot be read")
+        if len(set(self.channels)) < len(self.channels):
+            raise DataError("the header names a channel twice", "standard input", "give each its own name")
+        check_names(Path("standard input"), self.columns, self.channels)
+        self._picked = [self.channels.index(name) for name in self.columns]
+        self._frame = self._kind.itemsize * len(self.channels)
+        # A process that was killed before it read a frame leaves at most the head.
+        every = [] if keep is None else sorted(keep.glob("*.frames"))
+        self.files = [path for path in every if path.stat().st_size >= len(self._head) + self._frame]
+        self.n_earlier = sum((path.stat().st_size - len(self._head)) // self._frame for path in self.files)
+        self._streams = [*(self._reopen(path) for path in self.files), stream]
+        self.kept: FrameStore | None = None
+        if keep is not None:
+            keep.mkdir(parents=True, exist_ok=True)
+            self.files.append(keep / f"{int(self.files[-1].stem) + 1 if self.files else 1:04}.frames")
+            self.kept = FrameStore(self.files[-1], self._frame, self._head)
+
+    def _reopen(self, path: Path) -> BinaryIO:
+        stream = path.open("rb")
+        if stream.readline(1 << 16) != self._head:
+            hint = "name another folder, or remove these frames"
+            raise DataError("holds frames of another test", path.parent, hint)
+        return stream
+
+    def read(self) -> FloatArray | None:
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
+        stream, self.restarted = self._streams[0], False
+        if len(self._streams) > 1:
+            text = stream.read(1 << 20)
+            if not text:
+                # What was cut off by the kill is not a frame; what follows is another recording.
+                stream.close()
+                self._streams, self._rest, self._begins = self._streams[1:], b"", True
+                return self.read()
+        else:
+            if not select.select([stream], [], [], 0.2)[0]:
+                return np.empty((0, len(self.columns)))
+            # What has come, without waiting for more.
+            text = stream.read1(1 << 20) if isinstance(stream, io.BufferedReader) else stream.read()
+            if not text:
+                return None
+            if self.kept is not None:
+                self.kept.add(text)
+        rows = self._rows(text)
+        self.restarted = self._begins and rows.shape[0] > 0
+        self._begins &= not self.restarted
+        return rows
+
+    def _rows(self, text: bytes) -> FloatArray:
+        whole = self._rest + text
+        end = len(whole) // self._frame * self._frame
+        self._rest = whole[end:]
+        frames = np.frombuffer(whole[:end], self._kind).reshape(-1, len(self.channels))
+        return frames[:, self._picked].astype(float)
+
+    def recordings(self, write_path: Callable[[str], Path]) -> list[Path]:
+        """What is on disk as Parquet files, one for each process, where *write_path* of their names says."""
+        schema, paths = pa.schema([(name, pa.float64()) for name in self.columns]), []
+        # Where all had been read before the kill, nothing comes behind it.
+        files = self.files[:-1] if self.kept and not self.kept.n_frame and self.n_earlier else self.files
+        for number, path in enumerate(files, 1):
+            paths.append(write_path(f"recording{f'-{number}' if len(files) > 1 else ''}.parquet"))
+            self._rest = b""
+            with self._reopen(path) as stream, pq.ParquetWriter(paths[-1], schema) as writer:
+                while text := stream.read(1 << 22):
+                    writer.write_table(pa.table(list(self._rows(text).T), schema=schema))
+        return paths
+
+    def close(self) -> None:
+        if self.kept is not None:
+            self.kept.close()
 
 
-class _Cutter:
-    """Cuts calibrated blocks into averages; *frequency* (n_line,) [Hz] of their lines."""
+class Played:
+    """A recording in memory as if it were made now, *speed* [1] times as fast."""
 
-    def __init__(
-        self, channels: tuple[Channel, ...], sample_rate: float, n_sample: int, settings: FrfSettings
-    ) -> None:
-        self.channels, self.sample_rate, self.n_sample = channels, sample_rate, n_sample
-        self._forces = [number for number, channel in enumerate(channels) if channel.role == "input"]
-        self._lines = line_range(n_sample, sample_rate, settings.band)
-        self.frequency = np.arange(self._lines.start, self._lines.stop) * (sample_rate / n_sample)
-        self._number = 0
-        # The force window of the first hit, and its trigger.
-        self._window: tuple[FloatArray, int] | None = None
+    def __init__(self, samples: FloatArray, sample_rate: float, speed: float) -> None:
+        self._samples, self.sample_rate, self._speed = samples, sample_rate, speed
+        self._done, self._began, self.restarted = 0, time.monotonic(), False
 
-    def _average(
-        self, start: int, samples: FloatArray, peaks: FloatArray, spectrum_of: FloatArray, fault: str
-    ) -> Average:
-        """The average of *samples* (n_sample, n_channel) [SI], by those of *spectrum_of*, ready for it."""
-        there = np.isfinite(samples).all(axis=0)
-        if not there.all():
-            fault = f"no number in channel '{self.channels[int(np.argmin(there))].name}'"
-        whole = fft.rfft(spectrum_of.T, axis=1)[:, self._lines].T * (2 / self.n_sample)
-        return Average(self._number, start, np.asarray(whole), peaks, fault)
-
-    def window_shapes(self, lines: IntArray) -> ComplexArray | None:
-        """Amplitudes (n_line, n) [1] of white noise of the force under its window at *lines* of an average,
-        relative to the root of its power; n of 0 where it has too many, None without a window.
-        """
-        if self._window is None:
+    def read(self) -> FloatArray | None:
+        """Samples (n, n_column) [unit of the file] as of `SampleStream`."""
+        if self._done >= self._samples.shape[0]:
             return None
-        shapes = windows.window_shapes(*self._window, self._lines.start + lines, MOST_SHAPES)
-        return np.empty((lines.size, 0), np.complex128) if shapes is None else shapes
-
-
-class PeriodCutter(_Cutter):
-    """Whole periods, the transient ones dropped at the start of each recording, and where another direction
-    is shaken after several periods of one.
-    """
-
-    def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
-        assert settings.period is not None
-        super().__init__(channels, sample_rate, samples_per_period(settings.period, sample_rate), settings)
-        self._skip = self._left = settings.skip
-        self._rest, self._begin = np.empty((0, len(channels))), 0
-        # Energies of the forces in the last period, and for how many the strongest has been the same.
-        self._energies: FloatArray = np.zeros(len(self._forces))
-        self._alike = 0
-        # The first forces of each direction, and what turns those of the present recording to their phases.
-        self._first: dict[int, ComplexArray] = {}
-        self._turns: dict[int, ComplexArray] = {}
-
-    def restart(self) -> None:
-        """The samples that follow belong to another recording: what is not complete is lost."""
-        self._begin, self._rest = self._begin + self._rest.shape[0], self._rest[:0]
-        self._left, self._turns = self._skip, {}
-
-    def add(self, block: FloatArray) -> Iterator[Average]:
-        """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._rest = np.concatenate([self._rest, block])
-        while self._rest.shape[0] >= self.n_sample:
-            period, start = self._rest[: self.n_sample], self._begin
-            self._rest, self._begin = self._rest[self.n_sample :], self._begin + self.n_sample
-            moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
-            if self._turned(np.sum(moved[:, self._forces] ** 2, axis=0)):
-                self._left = self._skip
-            if self._left:
-                self._left -= 1
-                continue
-            self._number += 1
-            yield self._turn(self._average(start, period, np.max(np.abs(moved), axis=0), moved, ""))
-
-    def _turned(self, energies: FloatArray) -> bool:
-        """Whether another force than in several periods before is the strongest now, and grew to be it; by
-        their *energies* (n_force,) [squared SI].
-        """
-        strongest = int(np.argmax(energies))
-        same = strongest == int(np.argmax(self._energies))
-        turned = self._alike > 1 and not same and energies[strongest] > GROWN * self._energies[strongest]
-        self._energies, self._alike = energies, self._alike + 1 if same else 1
-        return bool(turned)
-
-    def _direction(self, forces: ComplexArray) -> int:
-        """The number of the direction whose *forces* (n_line, n_force) were in the same proportion to each
-        other, line by line, at first; of hardly any force the nearest, of another proportion a new one.
-        """
-        likeness = {
-            number: np.sum(np.abs(np.sum(first * forces.conj(), axis=1)))
-            / max(np.linalg.norm(first, axis=1) @ np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
-            for number, first in self._first.items()
-        }
-        nearest = max(likeness, key=likeness.__getitem__, default=0)
-        weak = any(np.linalg.norm(forces) < ACTS * np.linalg.norm(first) for first in self._first.values())
-        return nearest if weak or likeness.get(nearest, 0.0) > SAME_FORCES else len(likeness)
-
-    def _turn(self, average: Average) -> Average:
-        """A period by its direction, turned to the phases that the forces of this had first: a recording that
-        was begun anew begins elsewhere in the period. exp(-j w tau) by the delay tau of the cross-correlation
-        of the forces; line by line where these are other phases.
-        """
-        forces = average.amplitude[:, self._forces]
-        direction = self._direction(forces)
-        if self._first.setdefault(direction, forces) is forces or not forces.any():
-            self._turns[direction] = np.ones(len(forces), np.complex128)
-        if direction not in self._turns:
-            cross = np.sum(self._first[direction] * forces.conj(), axis=1)
-            delay = np.argmax(fft.irfft(np.pad(cross, (self._lines.start, 0)), self.n_sample))
-            w, size = 2 * np.pi * self.frequency / self.sample_rate, np.abs(cross)
-            rest = np.angle(cross * np.exp(1j * w * delay))
-            turn = np.exp(-1j * w * (delay - np.sum(size * w * rest) / np.sum(size * w**2)))
-            alike = np.sum((cross * turn.conj()).real) > SAME_SIGNAL * np.sum(size)
-            self._turns[direction] = turn if alike else np.exp(1j * np.angle(cross))
-        turned = average.amplitude * self._turns[direction][:, None]
-        return replace(average, amplitude=turned, direction=direction)
-
-
-class HitCutter(_Cutter):
-    """Hits of one hammer, sought as they come: by the noise before the first, then by the hits so far."""
-
-    def __init__(self, channels: tuple[Channel, ...], sample_rate: float, settings: FrfSettings) -> None:
-        assert settings.block is not None
-        # As in a run: of a late channel the block holds the hit, too.
-        self._lags = Lags(channels, sample_rate)
-        super().__init__(self._lags.channels, sample_rate, round(settings.block * sample_rate), settings)
-        if len(self._forces) != 1:
-            what = f"hits need one force, the rig has {len(self._forces)}"
-            raise DataError(what, hint="one hammer per recording")
-        self._force, self._impact = self._forces[0], settings.impact
-        self._before = round(self._impact.pretrigger * self.n_sample)
-        self._search = impact.HitSearch(self._force, self.n_sample, self._before, len(channels))
-        self._sizes: list[float] = []
-        self._noise, self._rest = 0.0, np.zeros(len(channels))
-
-    def restart(self) -> None:
-        self._search.restart()
-        self._lags.restart()
-
-    def _level(self) -> float:
-        usual = self._impact.trigger * max(self._sizes) if self._sizes else 0.0
-        return max(usual, FIRST_HIT * self._noise)
-
-    def add(self, block: FloatArray) -> Iterator[Average]:
-        """The averages that the next samples (n, n_channel) [SI] complete."""
-        self._search.add(self._lags.add(block))
-        if not self._noise and not self._is_quiet_known():
-            return
-        for start, trigger, samples in self._search.hits(self._rest[self._force], self._level):
-            yield self._hit(start, samples, trigger)
-
-    def _is_quiet_known(self) -> bool:
-        """Whether the rest position of the force and the noise about it are known, by the first samples."""
-        window, n = self._search.window, max(self._before, 16)
-        if window.shape[0] < n:
-            return False
-        self._rest = np.nan_to_num(np.median(window[:n], axis=0))
-        distance = np.abs(window[:, self._force] - self._rest[self._force])
-        # Of a recording that begins within a hit the median is still the rest position.
-        self._noise = float(1.4826 * np.median(distance[:n])) or 1e-6 * float(np.max(distance))
-        return self._noise > 0.0
-
-    def _hit(self, start: int, samples: FloatArray, trigger: int) -> Average:
-        self._number += 1
-        raw = np.nan_to_num(samples)
-        hit = impact.judged_hit(self._number, start, raw, trigger, self.channels, self._impact, self._rest)
-        fault = hit.fault
-        size = float(np.max(np.abs(hit.samples[:, self._force])))
-        usual = float(np.median(self._sizes)) if self._sizes else 0.0
-        if not fault and size < WEAK * usual:
-            fault = f"weak: {100 * size / usual:.0f} % of the usual force"
-        if not fault and np.isfinite(samples).all():
-            self._sizes.append(size)
-        windowed, window = hit.samples.copy(), np.ones((self.n_sample, 1))
-        if self._impact.force_window is not None:
-            length = self._impact.force_window * self.sample_rate
-            window[:, 0] = windows.force_window(self.n_sample, trigger, length)
-            windowed[:, [self._force]] *= window
-            self._window = self._window or (window[:, 0], trigger)
-        noise = (
-            impact.noise_power(hit, self._force, self._lines) * np.sum(window**2) * (2 / self.n_sample) ** 2
-        )
-        average = self._average(start, samples, np.max(np.abs(hit.samples), axis=0), windowed, fault)
-        # Counted from its trigger, which is no matter for an FRF.
-        numbers = np.arange(self._lines.start, self._lines.stop)
-        turned = windows.phase_factors(numbers, np.array([-trigger]), self.n_sample)
-        return replace(average, amplitude=average.amplitude * turned, noise=noise)
-
-
-Cutter = PeriodCutter | HitCutter
-CUTTERS: dict[str, type[Cutter]] = {"periodic": PeriodCutter, "impact": HitCutter}
+        due = int((time.monotonic() - self._began) * self._speed * self.sample_rate)
+        block = self._samples[self._done : min(due, self._done + MOST_ROWS)]
+        self._done += block.shape[0]
+        return block

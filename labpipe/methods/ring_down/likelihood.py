@@ -172,8 +172,8 @@ def rows_by_sums(piece: Piece, poles: ComplexArray) -> tuple[FloatArray, FloatAr
     sums = (1 - last) / (1 - q)
     rows = []
     for part in (sums, step * (q * sums - n * last) / (1 - q)):
-        own, other = np.split(part * np.sqrt(2 / n), 2, axis=1)
-        spectrum = np.concatenate([(own + other) / 2, (own - other) / 2j], axis=1)
+        pole, conjugate = np.split(part * np.sqrt(2 / n), 2, axis=1)
+        spectrum = np.concatenate([(pole + conjugate) / 2, (pole - conjugate) / 2j], axis=1)
         rows.append(np.concatenate([spectrum.real, spectrum.imag]))
     return rows[0], rows[1]
 

@@ -10,11 +10,10 @@ from itertools import zip_longest
 
 import numpy as np
 
-from labpipe.bearings.kinds import Bearing, OperatingPoint
+from labpipe.bearings.kinds import Bearing, LinearBearingSettings, OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.shaft import NodeSupport, Rotor, bearing_loads
 from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import nearest

@@ -12,11 +12,16 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.bearings.kinds import Bearing, BearingCoefficients, MountedBearing, OperatingPoint
+from labpipe.bearings.kinds import (
+    Bearing,
+    BearingCoefficients,
+    LinearBearingSettings,
+    MountedBearing,
+    OperatingPoint,
+)
 from labpipe.errors import FitError
 from labpipe.methods.journal_bearing.bearing import JournalBearing
 from labpipe.methods.rotor import shaft
-from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig
 from labpipe.methods.rotor_system.model import Curve, MatrixBlock, SystemModel, Unknown
 from labpipe.methods.run_ups.rotor import PARAMETERS, FilmFamily, as_matrices

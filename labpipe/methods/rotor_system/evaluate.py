@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import plain_text
 from labpipe.distributions import chi2_tail, normal_tail
-from labpipe.errors import ConfigError, DataError, FitError, LabpipeError
+from labpipe.errors import ConfigError, DataError, FitError, locate_errors
 from labpipe.estimation.measured import Measured, matrix_errors, measured_part
 from labpipe.methods.rotor.theory import BROKEN, KEPT, LEAST_DECREMENT, decision
 from labpipe.methods.rotor_system import build, evidence, predictions, records
@@ -63,7 +63,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
     """The result of the section; LabpipeError names it and the test."""
     system = settings.system
     assert system is not None
-    try:
+    with locate_errors(f"{work.pipeline.path}: rotor_system"):
         check_counts_once(settings.tests, work)
         readings = {test.name: reading for test in settings.tests if (reading := _reading(test, work))}
         sensors = {test.name: sensors_of(test, readings.get(test.name)) for test in settings.tests}
@@ -82,13 +82,11 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             if test.kind == RESPONSE and not test.free and test.has_modes
             for frequency in free_modes_of(test, work).frequency
         )
-        weights, found = predictions.balance(settings, built, posterior), (*result.findings, *out_of_place)
+        weights = predictions.balance(settings, built, posterior)
+        findings = (*result.findings, *out_of_place)
         if settings.standard:
-            found = (*found, *limits_of(settings.standard, result))
-        return replace(result, balance=weights, measured=tuple(measured), findings=found)
-    except LabpipeError as error:
-        error.where = error.where or f"{work.pipeline.path}: rotor_system"
-        raise
+            findings = (*findings, *limits_of(settings.standard, result))
+        return replace(result, balance=weights, measured=tuple(measured), findings=findings)
 
 
 def limits_of(standard: str, result: records.RotorSystemResult) -> Iterator[Finding]:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.bearings.kinds import LinearBearingSettings
 from labpipe.errors import SettingError
-from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
 from labpipe.methods.rotor_system.build import Pedestal, RotorSystem, linear_bearing

@@ -109,7 +109,7 @@ class GaussianProcess(metamodel_kinds.WithinExtent):
     def std_error(self, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """Of a new point (n_point, 8) [N/m, N s/m], noise included, at loads [N] and speeds [rad/s]."""
         coded = self.extent.code(load, speed)
-        return np.stack([one.predict(coded, return_std=True)[1] for one in self.regressors], axis=-1)
+        return np.stack([process.predict(coded, return_std=True)[1] for process in self.regressors], axis=-1)
 
     def to_entries(self) -> dict[str, Any]:
         return {
@@ -257,7 +257,9 @@ METAMODELS: dict[str, Callable[[metamodel_kinds.Grid, int], Metamodel]] = {
     "network": fit_network,
 }
 CLASSES = (metamodel_kinds.ResponseSurface, GaussianProcess, Network, metamodel_kinds.PhysicalFit)
-READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {one.kind: one.from_entries for one in CLASSES}
+READERS: dict[str, Callable[[Mapping[str, Any]], Metamodel]] = {
+    model.kind: model.from_entries for model in CLASSES
+}
 
 
 class Metamodel(TabulatedCoefficients, Protocol):

@@ -227,7 +227,9 @@ def posterior(fit: Fit, same_wear: bool = False) -> Gaussian:
         for parameter in chosen
     ]
     covariance = fit.correlation[np.ix_(numbers, numbers)] * np.outer(errors, errors)
-    return Gaussian.of((one.name for one in chosen), (one.value for one in chosen), covariance)
+    return Gaussian.of(
+        (parameter.name for parameter in chosen), (parameter.value for parameter in chosen), covariance
+    )
 
 
 def check_after(settings: FitSettings, earlier: FitSettings) -> None:

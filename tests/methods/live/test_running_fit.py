@@ -16,8 +16,8 @@ from labpipe.methods.live.charts import (
     no_longer_falls,
     sequence_factor,
 )
+from labpipe.methods.live.cutters import HitCutter, PeriodCutter
 from labpipe.methods.live.running_fit import Directions, HitSums, PeriodSums, RunningFit, moving_mean
-from labpipe.methods.live.sources import HitCutter, PeriodCutter
 from labpipe.records.recording import Channel
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.bearings.kinds import LinearBearingSettings
 from labpipe.errors import ConfigError, SettingError
-from labpipe.methods.rotor.linear_bearing import LinearBearingSettings
 from labpipe.methods.rotor.response import growth_rate, modes
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.rotor_file import load_rotor

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.bearings.kinds import LINEAR, LinearBearingSettings
 from labpipe.errors import ConfigError, FitError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.curve import PARAMETERS
 from labpipe.methods.journal_bearing.film import FilmMesh
-from labpipe.methods.rotor.linear_bearing import LINEAR, LinearBearingSettings
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.wear.model import WornModel, worn_model
 from labpipe.methods.wear.settings import ANGLE, DEPTH
