@@ -5,7 +5,6 @@ short that is, and keeps each until its outcome is taken.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import multiprocessing
 import signal
@@ -106,10 +105,13 @@ def on_cluster(address: str) -> Execute:
 
     def execute(work: Work, jobs: Sequence[Job]) -> Iterator[Done]:
         distributed = _distribute()
+        # Loaded with the cluster's package, and by no run without it.
+        from asyncio import CancelledError
+
         try:
             with _client(distributed, address) as client:
                 yield from _run_in_batches(distributed, client, work, [job.absolute() for job in jobs])
-        except (distributed.CancelledError, asyncio.CancelledError, OSError) as error:
+        except (distributed.CancelledError, CancelledError, OSError) as error:
             # Dask's own errors of a connection; those of files have a number.
             of_connection = isinstance(error, distributed.comm.core.CommClosedError) or LOST in str(error)
             if isinstance(error, OSError) and not of_connection:
