@@ -212,10 +212,6 @@ def _fail(*messages: str) -> int:
     return 2
 
 
-if __name__ == "__main__":
-    main()
-
-
 SHELLS = {"bash": "~/.bashrc", "zsh": "~/.zshrc", "fish": "~/.config/fish/completions/labpipe.fish"}
 
 

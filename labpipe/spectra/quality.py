@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, optimize
+import scipy
+from scipy import fft
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import gamma_tail
@@ -367,7 +368,7 @@ def _dip(frequency: FloatArray, h: ComplexArray, coherence: FloatArray) -> tuple
     noise = np.ones(h.size)
     for _ in range(ROUNDS):
         weighted = courses[beside] / noise[beside, None], unexplained[beside] / noise[beside]
-        noise = np.maximum(courses @ optimize.nnls(*weighted)[0], np.finfo(float).tiny)
+        noise = np.maximum(courses @ scipy.optimize.nnls(*weighted)[0], np.finfo(float).tiny)
     there, usual = np.mean(unexplained[inside]), np.median(unexplained[beside])
     ratio = float(there / np.mean(noise[inside]))
     return (peak.frequency, ratio) if ratio > DIP and there > usual > 0 else None

@@ -7,8 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from labpipe import distributions
 from labpipe.arrays import FloatArray
@@ -120,7 +121,7 @@ def weighted_fit(
             wider = np.sqrt(errors**2 + square) if errors.ndim == 1 else errors + square * np.eye(values.size)
             return _solve(columns, values, wider, changes)
 
-        share = optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
+        share = scipy.optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
         spread, (inverse, _, weights) = share * most, beside(share)
     shared = weights @ changes.T @ changes @ weights.T
     return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, shared, known)

@@ -377,7 +377,7 @@ def test_ctrl_c_leaves_nothing_behind(project: Path) -> None:
     (project / "run.csv").write_text(
         LINES[0] + "".join(f"{n / 200:.6g},{n % 7},{n % 11}\n" for n in range(400_000))
     )
-    command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out"]
+    command = [sys.executable, "-m", "labpipe", "run", "pipeline.yaml", "-o", "out"]
     process = subprocess.Popen(
         command, cwd=project, stderr=subprocess.PIPE, text=True, preexec_fn=hears_ctrl_c
     )

@@ -180,9 +180,7 @@ def _begun(
 ) -> subprocess.Popen[bytes]:
     arguments = ["run", str(folder / "pipeline.yaml"), "-o", str(folder / name), "-q", *options]
     environment = {**os.environ, MARK: str(folder / name)}
-    return subprocess.Popen(
-        [sys.executable, "-m", "labpipe.cli.main", *arguments], env=environment, stderr=said
-    )
+    return subprocess.Popen([sys.executable, "-m", "labpipe", *arguments], env=environment, stderr=said)
 
 
 def _processes(mark: Path, words: bytes = b"") -> list[int]:

@@ -208,7 +208,7 @@ def test_a_disk_that_fails_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.long
 def test_two_runs_and_a_list_at_once_on_one_folder(lab: Path, labpipe: Command) -> None:
     done(lab / "pipeline.yaml", lab / "whole")
-    command = [sys.executable, "-m", "labpipe.cli.main"]
+    command = [sys.executable, "-m", "labpipe"]
     run = [*command, "run", str(lab / "pipeline.yaml"), "-o", str(lab / "out"), "-q"]
     # Of the listing only that it ends without a traceback: it may come before the first result.
     processes = [

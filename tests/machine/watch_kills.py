@@ -28,7 +28,7 @@ from tests.project.laboratory import PIPELINE, RIG, recording
 RECORDINGS = 8
 BUCKET = "benches"
 BENCH = 'title: Bench\nrig: rig.yaml\ntests:\n  - {each: "*.csv"}\n' + PIPELINE[PIPELINE.index("frf:") :]
-COMMAND = (sys.executable, "-m", "labpipe.cli.main", "watch")
+COMMAND = (sys.executable, "-m", "labpipe", "watch")
 # The longest time until a kill: starting up, working and appending lie within it.
 LONGEST_SECONDS = 6.0
 

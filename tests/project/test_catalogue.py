@@ -218,7 +218,7 @@ def test_what_is_no_index_of_ours_does_not_stop_a_list(tmp_path: Path, campaign:
 @pytest.mark.long
 def test_several_processes_build_the_index_at_once(campaign: Path) -> None:
     """Three of them once ended in `database is locked`."""
-    command = [sys.executable, "-m", "labpipe.cli.main", "list", str(campaign), "-p", "k"]
+    command = [sys.executable, "-m", "labpipe", "list", str(campaign), "-p", "k"]
     running = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(3)]
     ended = [process.communicate() for process in running]
     assert {out for out, _ in ended} == {ended[0][0]} and {err for _, err in ended} == {b""}

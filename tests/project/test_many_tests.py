@@ -198,7 +198,7 @@ def hears_ctrl_c() -> None:
 def test_ctrl_c_on_several_processes_leaves_only_whole_tests(project: Path) -> None:
     for preload in range(500, 560):
         (project / f"runs/{preload}N-up.csv").write_text(recording(preload))
-    command = [sys.executable, "-m", "labpipe.cli.main", "run", "pipeline.yaml", "-o", "out", "-j", "2"]
+    command = [sys.executable, "-m", "labpipe", "run", "pipeline.yaml", "-o", "out", "-j", "2"]
     process = subprocess.Popen(
         command,
         cwd=project,
