@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -450,8 +450,9 @@ def add_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -
     rows, columns = select_ports(response, settings.input, settings.output)
     ports = [*(response.inputs[n] for n in columns), *(response.outputs[n] for n in rows)]
     of_base = response.form == TRANSMISSIBILITY
-    entries = list(_gains(ports, settings, of_base=of_base))
-    if settings.frees_mass and not of_base:
+    kinds = {parameter.name.partition("_")[0] for parameter in fit.parameters}
+    entries = list(_gains(ports, settings, kinds, of_base=of_base))
+    if settings.frees_mass and not of_base and kinds & {"k", "f"}:
         what = "m by m_t; f_n and zeta of the structure alone by m_t / 2 m of themselves"
         entries.append(Unstated("mass m_t of what is attached to the structure", what))
     what = "what changes with the amplitude: repeat the test at half the force"
@@ -459,17 +460,24 @@ def add_unstated(fit: Fit, response: FrequencyResponse, settings: FitSettings) -
     return replace(fit, not_stated=tuple(entries))
 
 
-def _gains(ports: Sequence[Port], settings: FitSettings, *, of_base: bool) -> Iterator[Unstated]:
+def _gains(
+    ports: Sequence[Port], settings: FitSettings, kinds: Set[str], *, of_base: bool
+) -> Iterator[Unstated]:
+    """*kinds* of parameters: k of stiffnesses, f of natural frequencies."""
     silent = [port.label for port in ports if all(entry.effect != GAIN for entry in port.uncertainties)]
     if not silent:
         return
     what = "gain of " + ", ".join(dict.fromkeys(silent))
     if of_base:
         yield Unstated(what, "k and c by about as much")
-    elif settings.frees_mass:
-        yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
-    else:
+    elif not settings.frees_mass:
         yield Unstated(what, "the resonance against the given mass: c by as much, k less near resonance")
+    elif "k" in kinds:
+        yield Unstated(what, "k, c and m each by as much; f_n and zeta not at all")
+    elif "f" in kinds:
+        yield Unstated(what, "the size of the mode shapes; f_n and zeta not at all")
+    else:
+        yield Unstated(what, "every parameter, as far as the residual does not show it")
 
 
 def _law(fit: Fit, settings: FitSettings) -> Iterator[Unstated]:

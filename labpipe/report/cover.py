@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from labpipe.display import (
+    LEAST_CHANCE,
     count_text,
     difference_in,
     per_cent,
@@ -228,6 +229,9 @@ def _single_fits(identification: Identification) -> list[Fit]:
 
 
 def _in_print(parameter: Parameter, has_warnings: bool) -> tuple[str, str]:
+    if parameter.name.endswith("probability"):
+        least = parameter.value < LEAST_CHANCE
+        return f"< {LEAST_CHANCE:g}" if least else f"{parameter.value:.3g}", ""
     if parameter.ci95 is None:
         unit = shown_unit(parameter.unit, parameter.value)
         none = "no interval, see the warnings" if has_warnings else "no interval"

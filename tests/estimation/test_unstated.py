@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from labpipe.artefacts.identification_file import fit_entry, read_fit
+from labpipe.estimation.derived import add_unstated
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.response import FrequencyResponse, Port
@@ -51,3 +53,26 @@ def test_result_and_report_hold_them() -> None:
     assert read_fit(fit_entry(fit)).not_stated == fit.not_stated
     (table,) = budget_blocks(fit)
     assert all(row[1] == "0 (not stated)" for row in table.rows) and len(table.rows) == 4
+
+
+@pytest.mark.parametrize(
+    ("names", "effect", "has_mass"),
+    [
+        ({"f_n": "f_n_1", "zeta": "zeta_1"}, "the size of the mode shapes; f_n and zeta not at all", True),
+        (
+            {"k": "viscosity", "c": "clearance"},
+            "every parameter, as far as the residual does not show it",
+            False,
+        ),
+    ],
+)
+def test_models_without_stiffness_name_what_they_have(
+    names: dict[str, str], effect: str, has_mass: bool
+) -> None:
+    """No k, c, m of a fit that has none: a page to be signed spoke of them for the oil of a bearing."""
+    (fit,) = identify(RESPONSE, FitSettings("sdof"))
+    renamed = tuple(replace(p, name=names[p.name]) for p in fit.parameters if p.name in names)
+    listed = add_unstated(replace(fit, parameters=renamed), RESPONSE, FitSettings("sdof")).not_stated
+    effects = {entry.source: entry.effect for entry in listed}
+    assert effects["gain of f, y"] == effect
+    assert any("attached" in source for source in effects) == has_mass

@@ -263,6 +263,11 @@ def test_the_first_page_says_each_number_as_it_is_written_by_hand() -> None:
     for found, why in (((), "no interval"), ((Finding("gap", "x"),), "no interval, see the warnings")):
         (shown,) = result_blocks(replace(RESULT, fits=(replace(without, findings=found),)))
         assert isinstance(shown, Table) and shown.rows[0][1] == f"45.2 kN/m ({why})"
+    # A probability has no interval, and is not zero where its sums only round to it.
+    for value, text in ((0.0, "< 1e-15"), (0.0123, "0.0123")):
+        worn = replace(FIT, parameters=(Parameter("healthy_probability", value, "1", derived=True),))
+        (shown,) = result_blocks(replace(RESULT, fits=(worn,)))
+        assert isinstance(shown, Table) and shown.rows[0][1] == text
     assert tables[0].rows[1][4] == "other modes"
 
 

@@ -6,7 +6,7 @@ const DEPTHS = { cells: 0, hspan: 0, vspan: 0, area: 1, hline: 2, vline: 2, line
 const HEAT = ["7f3b08", "b35806", "e08214", "fdb863", "fee0b6", "f7f7f7", "d8daeb", "b2abd2", "8073ac", "542788", "2d004b"]
   .map((tone) => [0, 2, 4].map((at) => parseInt(tone.slice(at, at + 2), 16)));
 const LETTER = 6.6;
-const SCALE_ROOM = 62;
+const SCALE_ROOM = 72;
 
 function inkOf(colour) {
   return typeof colour === "number" ? `var(--c${colour})` : colour;

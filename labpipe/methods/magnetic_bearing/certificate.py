@@ -425,8 +425,8 @@ def _findings(worst: sensitivity.Peak, model: FittedBearing | None) -> tuple[Fin
         findings.append(Finding("unstable-loop", what))
     findings += identifiability_findings(model.fit)
     if model.loop is not None and model.loop.bent:
-        what = f"first order fails for {', '.join(model.loop.bent)} of the fitted loop"
-        what = f"two standard errors away from the fitted unknowns, {what}: their intervals are rough"
+        what = f"{', '.join(model.loop.bent)} of the fitted loop are not linear in its unknowns"
+        what = f"over two standard errors {what}: their intervals are approximate"
         findings.append(Finding("first-order", what))
     if model.fit.chi2_p < MISMATCH_P:
         what = "What intervals there are count the misfit as noise; this model decides nothing"

@@ -435,12 +435,12 @@ def identifiability_findings(fit: LoopFit) -> list[Finding]:
     bent = " and ".join(name for name, size in fit.bent if size > BENT)
     if bent:
         largest = max(size for _, size in fit.bent)
-        far = "since such values are none that a bearing can have"
-        far = f"by {100 * largest:.0f} % of the way" if np.isfinite(largest) else far
+        far = f"it bends by {100 * largest:.0f} % of the way"
+        far = far if np.isfinite(largest) else "no bearing can have such values"
         what = (
-            f"two standard errors away from the fitted {bent} first order fails, {far}: standard errors, and "
-            "what the fitted loop says, are rough; intervals of the unknowns follow the response as far as "
-            "it tells their ends"
+            f"two standard errors away from the fitted {bent} the response is not linear in them ({far}): "
+            "standard errors, and what the fitted loop says, are approximate; intervals of the unknowns "
+            "follow the response itself, as far as it determines their ends"
         )
         findings.append(Finding("first-order", what))
     return [*findings, *fit.contradicted]

@@ -82,7 +82,7 @@ def run_rotor_system(settings: RotorSystemSettings, work: Work) -> records.Rotor
             if test.kind == RESPONSE and not test.free and test.has_modes
             for frequency in free_modes_of(test, work).frequency
         )
-        weights = predictions.balance(settings, built, posterior)
+        weights = predictions.balance(settings, built, posterior, result.criticals)
         findings = (*result.findings, *out_of_place)
         if settings.standard:
             findings = (*findings, *limits_of(settings.standard, result))

@@ -40,6 +40,9 @@ GROWTH, MOST_STEPS, ON_LINE, BENT = 1.25, 30, 20, 0.3
 ENOUGH = 100
 # Draws behind what one more run would leave, and behind the vibration over so many speeds.
 LOOKED, SPEEDS = 60, 61
+# Speeds about a peak at which the vibration is drawn as well, in its half half-power widths; amplification
+# factor of a peak that has no half-power points.
+ACROSS_PEAK, FLAT = np.array([-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0]), 2.5
 
 
 def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
@@ -324,9 +327,14 @@ def _interval(value: float, draws: FloatArray) -> tuple[float, float]:
 
 
 def balance(
-    settings: RotorSystemSettings, built: Built, posterior: SystemPosterior
+    settings: RotorSystemSettings,
+    built: Built,
+    posterior: SystemPosterior,
+    criticals: Sequence[records.CriticalResult],
 ) -> records.BalanceResult | None:
-    """Weights in the planes of the unbalances, what they leave, and what one more run would change."""
+    """Weights in the planes of the unbalances, what they leave, and what one more run would change. Near
+    *criticals* the vibration over speed is told at closer speeds.
+    """
     runs = [test for test in posterior.tests if isinstance(test, RunUpVectors)]
     if not settings.balance_speeds or not runs:
         return None
@@ -347,7 +355,7 @@ def balance(
         interval_of(left, posterior.widened),
         _next_weights(built, posterior, test, weights),
         stated_influence(built, posterior, test),
-        _predict_over_speed(settings, built, posterior, test, weights),
+        _predict_over_speed(settings, built, posterior, test, weights, criticals),
     )
 
 
@@ -357,12 +365,16 @@ def _predict_over_speed(
     posterior: SystemPosterior,
     test: RunUpVectors,
     weights: ComplexArray,
+    criticals: Sequence[records.CriticalResult],
 ) -> records.VibrationResult:
     rated, operating = settings.balance_speeds, 0.0 if settings.system is None else settings.system.rig.speed
-    speed = np.linspace(0.5 * min(rated), max(1.1 * max(rated), operating), SPEEDS)
+    even = np.linspace(0.5 * min(rated), max(1.1 * max(rated), operating), SPEEDS)
+    # A peak is 1 / amplification of its speed wide.
+    near = [c.speed * (1 + ACROSS_PEAK / (2 * (c.amplification or FLAT))) for c in criticals]
+    speed = np.unique(np.clip(np.concatenate([even, *near]), even[0], even[-1]))
     wide = replace(test, speed=2 * np.pi * speed)
     drawn = drawn_influence(built, wide, posterior.draws(LOOKED, settings.seed))
-    drawn = drawn.reshape(LOOKED, SPEEDS, -1, drawn.shape[-1])
+    drawn = drawn.reshape(LOOKED, speed.size, -1, drawn.shape[-1])
     before, after = (remaining_rms(drawn, acting) for acting in (np.zeros_like(weights), weights))
     low, high = np.percentile(after, (2.5, 97.5), axis=0)
     before, middle = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))

@@ -311,8 +311,8 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     ]
     caption = (
         "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
-        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed; "
-        "squares: what tests in the bearings measured."
+        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed"
+        f"{'; squares: what tests in the bearings measured' if result.measured else ''}."
     )
     words = "Natural frequencies and log decrements over speed, with bands"
     return Figure(stack(panels, 5.6), caption, words)

@@ -134,6 +134,12 @@ def test_weights_calm_the_rotor_that_was_recorded(result) -> None:
     within = [28 < speed < 39 for speed in course.speed]
     before, after = (np.array(part)[within] for part in (course.before, course.after))
     assert before.min() < balance.before < before.max() and np.all(after < 0.1 * before)
+    # And no peak is narrower than the steps about it.
+    drawn = np.array(course.speed)
+    for critical in result[0].sections["rotor_system"].criticals:
+        if drawn[0] < critical.speed < drawn[-1] and critical.amplification:
+            near = np.abs(drawn - critical.speed) < critical.speed / critical.amplification
+            assert np.count_nonzero(near) >= 5
     page = (result[1] / "out/report.html").read_text()
     assert "with the weights" in page
 
