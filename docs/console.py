@@ -114,7 +114,7 @@ def run(command: Command) -> tuple[int, str]:
     program, *words = command.words
     assert program in ("labpipe", "python"), command
     if program == "python" or command.plugin:
-        start = ["-m", "labpipe.cli.main"] if program == "labpipe" else []
+        start = ["-m", "labpipe"] if program == "labpipe" else []
         path = os.pathsep.join(
             [str(Path("docs/plugin/src").resolve()), *filter(None, [os.environ.get("PYTHONPATH")])]
         )

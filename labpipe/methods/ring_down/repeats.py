@@ -274,9 +274,9 @@ def repeat_notes(repeated: RepeatedDecays, units: Sequence[str]) -> tuple[str, .
     notes = []
     for mode, (frequency, damping) in enumerate(repeated.means):
         text = (
-            f"decay: f_n_{mode + 1} and zeta_{mode + 1} are means over {over}, each fitted alone; from decay "
-            f"to decay they scatter by {100 * frequency.spread:.2g} and {100 * damping.spread:.2g} % beyond "
-            "their noise. An error that all decays share is not in this interval."
+            f"decay: f_n_{mode + 1} and zeta_{mode + 1} are means over {over}, each fitted alone; from "
+            f"decay to decay they scatter by {100 * frequency.spread:.2g} % and {100 * damping.spread:.2g} % "
+            "beyond their noise. An error that all decays share is not in this interval."
         )
         if np.isfinite(repeated.at[mode]):
             text += (
