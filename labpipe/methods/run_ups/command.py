@@ -15,7 +15,7 @@ from labpipe.cli import options
 @click.option(
     "-r", "--rig", "rig_path", type=options.PATH, help="Rig file (YAML); a calibrated recording needs none."
 )
-@click.option("--tacho", help="Channel with the tacho pulses.")
+@click.option("--tacho", help="Channel with the tacho pulses; default: the rig's, where it has one.")
 @click.option(
     "--pulses", type=click.IntRange(min=1), default=1, show_default=True, help="Pulses per revolution."
 )
@@ -77,6 +77,6 @@ def orders(**settings: Any) -> int:
     """
     from labpipe.methods.run_ups.orders import track_and_write
 
-    if settings["tacho"] is None:
-        options.refuse_given(("pulses",), "a tacho: name its channel, --tacho NAME")
+    if settings["speed"] is not None:
+        options.refuse_given(("pulses",), "a tacho, which takes the place of --speed")
     return track_and_write(**settings)

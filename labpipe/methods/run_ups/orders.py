@@ -380,12 +380,15 @@ def track_and_write(
     slow, operating = _band("--slow-roll", slow_roll), _band("--speed-range", speed_range)
     is_judged, is_saved = any((slow, operating, baseline)), save_run_up is not None
     _check_options(order, is_judged, is_saved, load, unbalance)
-    lines = ShaftLines(_value("--speed", speed, "Hz"), tacho, pulses, harmonics)
+    rig = None if rig_path is None else load_rig(rig_path)
+    shaft_speed = _value("--speed", speed, "Hz")
+    if tacho is None and shaft_speed is None:
+        tacho = _tacho_of(rig)
+    lines = ShaftLines(shaft_speed, tacho, pulses, harmonics)
     if pulses > 1 and (is_saved or baseline is not None):
         raise ConfigError(f"--pulses: {MANY_PULSES}", hint=ONE_PULSE)
     conditions = _run_conditions(load, unbalance) if is_saved else None
     added = _stated_unbalance(unbalance, baseline is not None, is_saved)
-    rig = None if rig_path is None else load_rig(rig_path)
     with output_folder(output) as folder:
         run = track_run(recording, rig, lines, order, revolutions, folder, _clearance(gap, limit))
         if centreline and not run.circles:
@@ -420,6 +423,16 @@ def track_and_write(
         echo(f"  {row}")
     echo(f"written to {output}: {', '.join(names)}{saved}")
     return code
+
+
+def _tacho_of(rig: Rig | None) -> str:
+    """The one tacho of a *rig*; ConfigError without one, or among several."""
+    channels = () if rig is None else rig.all_channels
+    names = [channel.name for channel in channels if channel.quantity == "tacho"]
+    if len(names) != 1:
+        hint = f"--tacho {' or '.join(names) or 'CHANNEL'}, or --speed '50 Hz'"
+        raise ConfigError("the speed of the shaft is needed", hint=hint)
+    return names[0]
 
 
 def _check_options(

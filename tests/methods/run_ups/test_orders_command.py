@@ -52,6 +52,15 @@ def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
     assert ended.code == 0 and "segments of 20 revolutions" in ended.out, ended
     found = rows(out)
     assert found[0]["speed_hz"] < 22 and found[-1]["speed_hz"] > 38
+    # The rig has one tacho: it need not be named. Of two it must be.
+    ended = labpipe("orders", project / "run.csv", "-r", project / "rig.yaml", "-o", project / "unnamed")
+    assert ended.code == 0 and rows(project / "unnamed") == found
+    two = (
+        project / "rig.yaml"
+    ).read_text() + "  m: {column: tacho, quantity: tacho, unit: V, role: reference}\n"
+    (project / "two.yaml").write_text(two)
+    ended = labpipe("orders", project / "run.csv", "-r", project / "two.yaml", "-o", project / "none")
+    assert ended.code == 2 and "--tacho n or m, or --speed '50 Hz'" in ended.err, ended
     # E|dX|^2 = 4 s^2 / n; with s = 0.5 um and about 1300 samples a stretch 0.028 um; f and b have 1 / sqrt 2
     # of it.
     for name, truth in (("f", FORWARD), ("b", BACKWARD)):
@@ -90,7 +99,6 @@ def test_a_constant_speed_without_tacho(project: Path, labpipe) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "one of 'speed' and 'tacho' is needed"),
         (("--tacho", "n", "--speed", "50 Hz"), "one of 'speed' and 'tacho' is needed"),
         (("--tacho", "m"), "'m'"),
         (("--speed", "50 N"), "--speed: 'N' has the wrong dimension"),
