@@ -43,13 +43,16 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
 def sentences(result: Balanced) -> Iterator[str]:
     import numpy as np
 
-    from labpipe.display import plain_text
+    from labpipe.display import number, shown_unit, unit_label
     from labpipe.distributions import chi2_tail
+    from labpipe.quantities import to_display
 
     file, residual, knowledge = result.file, result.residual, result.knowledge
 
-    def text(value: float) -> str:
-        return plain_text(value, file.unit, 3)
+    def text(*values: float) -> str:
+        unit = shown_unit(file.unit, *values)
+        shown = " to ".join(number(to_display(value, unit), 3) for value in values)
+        return f"{shown} {unit_label(unit)}".rstrip()
 
     for name, weight in zip(file.planes, result.weights, strict=True):
         angle = np.degrees(np.angle(weight)) % 360
@@ -59,12 +62,12 @@ def sentences(result: Balanced) -> Iterator[str]:
     low, high = residual.interval
     yield (
         f"vibration (rms of {len(file.lines)} readings): {text(residual.before)} as found, "
-        f"{text(residual.rms)} expected with the weights (95 %: {text(low)} to {text(high)})"
+        f"{text(residual.rms)} expected with the weights (95 %: {text(low, high)})"
     )
     for name, middle, low, high in zip(
         file.lines, residual.amplitudes, residual.low, residual.high, strict=True
     ):
-        yield f"  {name}: {text(middle)} (95 %: {text(low)} to {text(high)})"
+        yield f"  {name}: {text(middle)} (95 %: {text(low, high)})"
     if result.permissible is not None:
         most = float(np.sum(residual.unbalance))
         word = "within" if most <= result.permissible else "beyond"

@@ -82,11 +82,12 @@ def test_the_lines_say_what_the_file_has(labpipe, tmp_path):
     file = json.loads((tmp_path / "b.json").read_text())
     left = [file["residual"], *file["readings"]]
     expected = [one.get("rms", one.get("expected")) for one in left]
-    ends = [value for one, middle in zip(left, expected, strict=True) for value in (middle, *one["ci95"])]
-    said = re.findall(r"(\S+) (um|nm)(?= expected|\)| to | \(95)", ended.out.partition("as found, ")[2])
     scale = {"um": 1e6, "nm": 1e9}
-    assert [size for size, _ in said] == [
-        f"{scale[unit] * end:.3g}" for (_, unit), end in zip(said, ends, strict=True)
+    said = re.findall(r"(\S+) (\S+)(?: expected with the weights)? \(95 %: (\S+) to (\S+) (\S+)\)", ended.out)
+    # Both ends in one unit, that of the upper.
+    assert said == [
+        (f"{scale[unit] * middle:.3g}", unit, *(f"{scale[both] * end:.3g}" for end in one["ci95"]), both)
+        for one, middle, (_, unit, *_, both) in zip(left, expected, said, strict=True)
     ]
     assert f"of 2 readings): {np.hypot(8.5, 6.5) / 2**0.5:.3g} um as found" in ended.out
     name, least = min(file["next_runs"].items(), key=lambda run: run[1])
