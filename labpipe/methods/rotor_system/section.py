@@ -56,7 +56,7 @@ def _error(interval: tuple[float, float]) -> float:
 
 
 def _ends(interval: Iterable[float], factor: float = 1.0, form: str = ".3g") -> str:
-    return " to ".join(f"{factor * end:{form}}" for end in interval)
+    return " to ".join(f"{float(f'{factor * end:{form}}'):.6g}" for end in interval)
 
 
 def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber) -> RuleOutcome:
