@@ -213,7 +213,7 @@ def prediction_table(result: RotorSystemResult) -> Table:
         speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
         ends = _ends((speed * np.exp(-spread), speed * np.exp(spread)), form=".0f")
         rows.append(("onset of instability [rpm]", f"{speed:.0f}", ends, ""))
-    header = ("prediction", "value", "95 %", "asked for")
+    header = ("prediction", "value", "95 %", "asked for by API 617")
     return Table(header, tuple(rows), "What follows for the rotor", (1,))
 
 
