@@ -96,14 +96,17 @@ function drawFrame(panel, margins, lowest) {
     element("text", { x: box.left - 5, y: y + 4, "text-anchor": "end" }, texts).textContent = label;
   }
   element("path", { class: "frame", d: `M${box.left} ${box.top}V${box.bottom}H${box.right}` }, svg);
-  const centre = (box.top + box.bottom) / 2;
+  // A name longer than the panel is pressed to its height; one that is nearly as long leaves the middle of the axis.
+  const length = Math.min(6.4 * spec.y.label.length, panel.height - 8);
+  const centre = Math.max(Math.min((box.top + box.bottom) / 2, panel.height - length / 2 - 3), length / 2 + 3);
   if (spec.title) element("text", { class: "title", x: (box.left + box.right) / 2, y: 14, "text-anchor": "middle" }, svg).textContent = spec.title;
   if (lowest) element("text", { x: (box.left + box.right) / 2, y: box.bottom + margins.bottom - 7, "text-anchor": "middle" }, svg).textContent = spec.x.label;
   const upright = element("text", { x: 12, y: centre, "text-anchor": "middle", transform: `rotate(-90 12 ${centre})` }, svg);
   upright.textContent = spec.y.label;
-  const room = (panel.height - 6) / (6.4 * spec.y.label.length);
-  if (room < 1) upright.setAttribute("textLength", panel.height - 8);
-  if (room < 1) upright.setAttribute("lengthAdjust", "spacingAndGlyphs");
+  if (length === panel.height - 8) {
+    upright.setAttribute("textLength", length);
+    upright.setAttribute("lengthAdjust", "spacingAndGlyphs");
+  }
 }
 
 function drawSeries(panel, one, inside) {
