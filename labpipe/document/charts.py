@@ -63,6 +63,8 @@ UPRIGHT, SLANTED = 90.0, 25.0
 LEGEND_LETTERS, SAMPLE, MOST_COLUMNS = 112, 11, 5
 # Points beyond which a legend stands in a corner: matplotlib looks at each of them to find the best place.
 MOST_SEEN = 20_000
+# Names beyond which a legend within a panel would hide what is drawn there: it stands above it.
+MOST_WITHIN = 4
 # Steps between numbers; many degrees have parts of a turn. A logarithmic axis of fewer decades than the first
 # has numbers in equal steps, of fewer than the second numbers within its decades.
 STEPS, TURNS, MANY_DEGREES = (1, 2, 2.5, 5, 10), (15, 30, 45, 90, 180, 360), 60.0
@@ -302,8 +304,10 @@ def _legends(canvas: Canvas, drawn: Sequence[Axes], chart: Chart, handles: dict[
         listed |= fresh
         if chart.legend == "panels" and fresh:
             crowded = sum(series.x.size for series in panel.series) > MOST_SEEN
-            place: Any = "upper right" if crowded else "best"
-            axes.legend(*_samples(fresh, handles), loc=place, ncols=_columns(fresh, chart.columns))
+            place: Any = {"loc": "upper right" if crowded else "best"}
+            if len(fresh) > MOST_WITHIN and chart.columns == 1 and not panel.title:
+                place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+            axes.legend(*_samples(fresh, handles), ncols=_columns(fresh, chart.columns), **place)
     if chart.legend == "above" and listed:
         canvas.legend(*_samples(listed, handles), ncols=_columns(listed, 1), loc="outside upper center")
 

@@ -32,7 +32,7 @@ from labpipe.processes import SHARED_OUT, pool_of
 from labpipe.records.identification import Identification
 from labpipe.report.build import build
 from labpipe.report.chart import Chart, Graphic
-from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Section, Table
+from labpipe.report.document import SIGNATURE, Block, Code, Document, Figure, Paragraph, Table
 
 FONT = "DejaVu"
 INK, GREY, SOFT, PAPER = (27, 31, 36), (87, 96, 106), (244, 246, 248), (255, 255, 255)
@@ -193,13 +193,19 @@ def _lay_out(pages: _Pages, document: Document, many: bool) -> None:
         _title(pages, document)
     for section in document.sections[1 if document.to_sign else 0 :]:
         pages.ln(3)
-        if pages.will_page_break(_height_of(pages, section)):
+        first, second = (*section.blocks[:2], None, None)[:2]
+        if pages.will_page_break(_height_of(pages, first, second)):
             pages.add_page()
         pages.start_section(section.heading)
         _text(pages, section.heading, 12, bold=True)
         pages.line(20, pages.get_y(), 190, pages.get_y())
         pages.ln(2)
-        for block in _pair_figures(section.blocks) if many else section.blocks:
+        blocks = [*_pair_figures(section.blocks)] if many else section.blocks
+        for block, after in zip(blocks, (*blocks[1:], None), strict=True):
+            # What introduces a figure or a table does not end a page.
+            leads = isinstance(block, Paragraph) and isinstance(after, Figure | Table)
+            if leads and pages.will_page_break(_height_of(pages, block, after)):
+                pages.add_page()
             _put(pages, block)
 
 
@@ -264,11 +270,10 @@ def _add_stream(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
     return reference
 
 
-def _height_of(pages: _Pages, section: Section) -> float:
+def _height_of(pages: _Pages, first: object, second: object) -> float:
     """The height [mm] of a heading with what may not be apart from it: the figure, the paragraph or the head
-    of the table that follows.
+    of the table that follows, *first* and, after a paragraph, *second*.
     """
-    first, second = (*section.blocks[:2], None, None)[:2]
     if isinstance(first, Figure):
         return 30 + _size(first)[1]
     if not isinstance(first, Paragraph):

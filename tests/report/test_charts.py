@@ -250,6 +250,16 @@ def test_every_colour_reaches_3_to_1_against_white(colour: str) -> None:
     assert colour.lower() in page_part("report.css") or colour == GREY_TONE
 
 
+def test_many_names_stand_above_their_panel_and_hide_no_curve() -> None:
+    for count, is_above in ((4, False), (5, True)):
+        series = tuple(curve(f"x{n}", X, n * X, n) for n in range(count))
+        canvas = chart_canvas(stack([Panel(Axis("f"), Axis("snr"), series)], 3.0))
+        canvas.draw_without_rendering()
+        (axes,) = canvas.axes
+        names = axes.get_legend().get_window_extent()
+        assert (names.y0 >= axes.bbox.y1) == is_above and names.y1 <= canvas.bbox.y1
+
+
 def test_numbers_follow_the_ends_of_an_axis_in_a_window(every_kind: Chart) -> None:
     axes = chart_canvas(every_kind).axes[1]
     axes.set_xlim(2.0, 2.5)

@@ -231,3 +231,17 @@ def test_many_figures_share_rows_and_no_heading_stands_alone(
     for page in (*pages, *few):
         before = page.extract_text().split("Title   page")[0].rstrip().splitlines()[-1]
         assert not before.startswith(("Result", "Values", "name"))
+
+
+@pytest.mark.long
+def test_a_sentence_stands_on_the_page_of_the_figure_it_leads_to(every_kind: Chart) -> None:
+    """Figures of 100 mm: two fill a page but for the words before a third."""
+    chart = replace(Chart(every_kind.panels[:1]), size=(6.7, 3.7))
+    blocks = [(Paragraph(f"Words before {n}."), Figure(chart, f"caption {n}", "")) for n in range(5)]
+    cover, all_of_them = Section("Verdict", ()), Section("All", tuple(b for pair in blocks for b in pair))
+    document = Document("Title", "Subtitle", (cover, all_of_them), ())
+    texts = [page.extract_text() for page in PdfReader(io.BytesIO(pdf.render_pdf(document))).pages]
+    assert len(texts) > 2
+    for n in range(5):
+        (page,) = (text for text in texts if f"Words before {n}." in text)
+        assert f"caption {n}" in page
