@@ -150,7 +150,7 @@ def test_a_critical_speed_is_that_of_a_steady_rotor(rate: float) -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_strongly_damped_mode_is_told_by_its_own_frequency_and_damping(sign: int) -> None:
     """At a damping ratio of .12 the peak stands 1.5 % beyond the natural frequency, and .5 / AF is 6 % more
-    than the ratio: by these the critical speed was .0032 and -.0022 widths off, at .1 widths squared a second^2.
+    than the ratio: by these the critical speed was .0032 and -.0022 widths off, at .1 widths squared/s^2.
     """
     steady, _, amplification = half_power(0.12)
     width = steady / amplification
