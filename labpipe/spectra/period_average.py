@@ -246,7 +246,7 @@ class PeriodCut:
         self._rest: FloatArray = np.empty((0, 0))
 
     def periods(self, block: FloatArray) -> Iterator[FloatArray]:
-        """The periods (n_sample, n_channel) that the next *block* (n, n_channel) completes."""
+        """The periods (n_sample, n_channel) that the next *block* (n, n_channel) completes [unit of both]."""
         samples = np.concatenate([self._rest, block]) if self._rest.size else block
         n_whole = samples.shape[0] // self._n_sample
         yield from (samples[n * self._n_sample : (n + 1) * self._n_sample] for n in range(n_whole))
