@@ -4,6 +4,9 @@ linear.
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -19,6 +22,8 @@ from labpipe.records.identification import Fit, random_part
 # Conditions of a test that say how strongly it was excited.
 LEVELS = ("level", "amplitude", "force", "excitation")
 AMPLITUDE_P = 0.01
+# What says that one line [Hz] alone is off, and the share of a frequency within which it is an order.
+LINE_ALONE, SAME_ORDER = re.compile(r"(the line at (\S+) Hz alone makes it so)"), 0.005
 KINDS = {"N/m": "stiffness", "N.s/m": "damping"}
 
 Conditions = Mapping[str, str]
@@ -55,6 +60,29 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
         if low[0] < high[0] and (message := _difference(low, high)):
             new[id(high[-1])] = Finding("amplitude", message)
     return [replace(fit, findings=(*fit.findings, new[id(fit)])) if id(fit) in new else fit for fit in fits]
+
+
+def with_orders_named(fits: Sequence[Fit], conditions: Mapping[str, Conditions]) -> list[Fit]:
+    """The fits, where one line alone is said to make a residual what it is with the order of the shaft that
+    it is at the speed which the *conditions* of a test, by its name, state.
+    """
+    named = []
+    for fit in fits:
+        speed, unit = 0.0, ""
+        with contextlib.suppress(UnitError):
+            speed, unit = si_amount(str(conditions.get(fit.test, {}).get("speed", "")))
+        if unit == "Hz" and speed > 0:
+            said = functools.partial(_name_order, speed=speed)
+            findings = (replace(f, message=LINE_ALONE.sub(said, f.message)) for f in fit.findings)
+            fit = replace(fit, findings=tuple(findings))
+        named.append(fit)
+    return named
+
+
+def _name_order(line: re.Match[str], speed: float) -> str:
+    order = float(line[2]) / speed
+    is_whole = abs(order - round(order)) < SAME_ORDER * order and order > 0.5
+    return f"{line[1]}, {round(order)}x of the shaft at {60 * speed:.6g} rpm" if is_whole else line[1]
 
 
 def _difference(low: _Test, high: _Test) -> str:

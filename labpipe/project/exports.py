@@ -276,13 +276,11 @@ def write_band_csv(artefact: Path, target: Path) -> None:
     for fit, plant in _plants(artefact):
         for row, output in enumerate(plant.outputs):
             for column, input_name in enumerate(plant.inputs):
-                gain, zero, pole = plant.overbound[row, column]
-                bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
                 values = plant.nominal[:, row, column]
                 head = {"fit": fit.name, "test": fit.test, "output": output, "input": input_name}
                 columns = {"unit": plant.unit, "frequency_hz": plant.frequency, "re": values.real}
                 columns |= {"im": values.imag, "radius": plant.radius[:, row, column]}
-                columns |= {"weight": plant.weight[:, row, column], "overbound": bound}
+                columns |= {"weight": plant.weight[:, row, column], "overbound": plant.bound(row, column)}
                 tables.append(pd.DataFrame({**head, **columns, "confidence": plant.confidence}))
     write_table_csv(pd.concat(tables, ignore_index=True), target)
 

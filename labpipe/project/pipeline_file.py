@@ -370,6 +370,7 @@ def _load(
         faults.add_at(entries, "", "results", what, nearest(results, RESULTS))
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
+    _check_conditions(entries, settings.get("matrix", ()), tests, faults)
     faults.raise_any()
     assert report is not None
     return Pipeline(
@@ -433,6 +434,20 @@ def _check_whole(
     if any(test.recordings for test in tests) and frf is None and "frf" not in entries:
         hint = "state excitation and period or block, from which FRFs are computed"
         faults.add(tree, "frf", "is missing", hint)
+
+
+def _check_conditions(
+    entries: dict[str, Marked], matrices: tuple[MatrixSettings, ...], tests: tuple[Test, ...], faults: Faults
+) -> None:
+    known = dict.fromkeys(name for test in tests for name in (*test.conditions, *test.recorded))
+    for matrix in matrices:
+        written, key = entries["matrix"].content[matrix.name].content, join("matrix", matrix.name)
+        for part in ("over", "beside"):
+            for name in getattr(matrix, part):
+                # None of files to come, whose names may say them.
+                if known and name not in known:
+                    what = f"no test has the condition '{name}'"
+                    faults.add_at(written, key, part, what, nearest(name, known))
 
 
 def _check_kinds(

@@ -85,9 +85,9 @@ def run_fits(settings: Sequence[FitSettings], work: Work) -> list[Fit]:
                 where = f"{work.pipeline.path}: identify.{fit.name}"
                 what = "no test is left for it: none is fitted against its own baseline"
                 raise ConfigError(what, where, "add the test that the baseline is for")
-        from labpipe.estimation.levels import with_level_findings
+        from labpipe.estimation.levels import with_level_findings, with_orders_named
 
-        fits.extend(with_level_findings(made, work.conditions))
+        fits.extend(with_orders_named(with_level_findings(made, work.conditions), work.conditions))
     if faults and not fits:
         raise faults[0]
     names = {parameter.name for fit in fits for parameter in fit.parameters}

@@ -289,6 +289,11 @@ class RobustPlant(FitDetail):
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
 
+    def bound(self, output: int, input_number: int) -> FloatArray:
+        """The overbound of one element at all lines, (n_line,) [1]."""
+        gain, zero, pole = self.overbound[output, input_number]
+        return np.asarray(gain * np.abs((1 + 1j * self.frequency / zero) / (1 + 1j * self.frequency / pole)))
+
 
 @dataclass(frozen=True)
 class Region(FitDetail):

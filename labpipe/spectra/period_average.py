@@ -4,7 +4,7 @@ whether motion has died away when the first of them begins.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -238,6 +238,21 @@ LEAST_OWN, RIDGE = 1e-9, 1e-12
 ONE_OF, MOST_BESIDE = 4, 8
 
 
+class PeriodCut:
+    """Cuts samples that come in blocks into whole periods of *n_sample* samples."""
+
+    def __init__(self, n_sample: int) -> None:
+        self._n_sample = n_sample
+        self._rest: FloatArray = np.empty((0, 0))
+
+    def periods(self, block: FloatArray) -> Iterator[FloatArray]:
+        """The periods (n_sample, n_channel) that the next *block* (n, n_channel) completes [unit of both]."""
+        samples = np.concatenate([self._rest, block]) if self._rest.size else block
+        n_whole = samples.shape[0] // self._n_sample
+        yield from (samples[n * self._n_sample : (n + 1) * self._n_sample] for n in range(n_whole))
+        self._rest = samples[n_whole * self._n_sample :].copy()
+
+
 class PeriodAverage:
     """Running mean and scatter of the Fourier amplitudes over whole periods, fed with blocks of any length.
     Equation (spec-period).
@@ -257,11 +272,10 @@ class PeriodAverage:
         Hz; *creep* is subtracted. Of *n_due* periods after the transient ones the noise may be that of
         *n_beside* lines of the whole record to either side.
         """
-        self._n_sample = n_sample
+        self._n_sample, self._cut = n_sample, PeriodCut(n_sample)
         self._lines = lines
         self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
         self._skip = skip
-        self._rest: FloatArray = np.empty((0, n_channel))
         n_line = self._line_numbers.size
         self._mean = np.zeros((n_line, n_channel), np.complex128)
         self._scatter = np.zeros((n_line, n_channel, n_channel), np.complex128)
@@ -276,11 +290,8 @@ class PeriodAverage:
 
     def add(self, block: FloatArray) -> None:
         """Add the next block (n, n_channel) [unit of the channel]."""
-        samples = np.concatenate([self._rest, block]) if self._rest.size else block
-        n_whole = samples.shape[0] // self._n_sample
-        for number in range(n_whole):
-            self._add_period(samples[number * self._n_sample : (number + 1) * self._n_sample])
-        self._rest = samples[n_whole * self._n_sample :].copy()
+        for period in self._cut.periods(block):
+            self._add_period(period)
 
     def _add_period(self, period: FloatArray) -> None:
         if self._skip > 0:

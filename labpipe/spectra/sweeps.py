@@ -189,6 +189,10 @@ TURNED = 0.1
 AT_END = 5
 # Share of a force's largest amplitude below which a sweep is another shaker's.
 LEAST_LEVEL = 0.05
+# Share of a force's power above its sweeps from which on it is taken out before they are looked for: from a
+# factor above the highest frequency at which the power, averaged over a part of the lines, is so many times
+# the quantile that stands for noise.
+QUIET, BEYOND, AVERAGED, STANDS_OUT, FLOOR = 0.05, 1.25, 100, 2.0, 0.3
 # Slope over a few periods, as a share of the whole's, below which a frequency steps; fewest such pieces.
 STEPPED, LEAST_WINDOWS = 0.5, 10
 # A sweep may begin so many periods, or such a share of its length, before its first clear zero crossing.
@@ -251,7 +255,7 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
     """The sweeps in a force (n_sample,) [N], in their order in time. DataError for a force without, or with
     dwells in their place.
     """
-    force = force - np.mean(force)
+    force = _remove_noise_above(force - np.mean(force))
     times = rising_crossings(force)
     # In noise a line through few samples can put a crossing ahead of the one before.
     times = times[np.diff(np.maximum.accumulate(times), prepend=-np.inf) > 0]
@@ -275,6 +279,21 @@ def find_sweeps(force: FloatArray) -> list[FoundSweep]:
         what = "the frequency of the force stays and steps: dwells, not a sweep"
         raise DataError(what, hint="excitation: stepped-sine")
     return sweeps
+
+
+def _remove_noise_above(force: FloatArray) -> FloatArray:
+    """The *force* (n_sample,) [N] of mean zero up to where its power stands out of what is alike at all
+    frequencies, if that beyond is more than QUIET of it: such noise tears the crossings of a sine apart.
+    """
+    spectrum = np.fft.rfft(force)
+    power = np.abs(spectrum) ** 2
+    level = scipy.ndimage.uniform_filter1d(power, max(power.size // AVERAGED, AVERAGED // 4))
+    top = np.flatnonzero(level > STANDS_OUT * np.quantile(level, FLOOR))
+    beyond = int(BEYOND * top[-1]) if top.size else power.size
+    if power[beyond:].sum() <= QUIET * power.sum():
+        return force
+    spectrum[beyond:] = 0
+    return np.fft.irfft(spectrum, force.size)
 
 
 def _runs(times: FloatArray) -> list[tuple[int, int]]:

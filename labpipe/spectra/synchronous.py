@@ -17,7 +17,7 @@ from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
 from labpipe.spectra.bands import mask_findings, masked_bands
 from labpipe.spectra.channels import FORCE, READ_SAMPLES, DerivedRecording, checked_blocks, columns_of
-from labpipe.spectra.period_average import samples_per_period
+from labpipe.spectra.period_average import PeriodCut, samples_per_period
 from labpipe.spectra.ports import ORDER_OF
 from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import STRETCH, ShaftMotion, at_rest, shaft_motion, steady
@@ -266,7 +266,9 @@ def _fit(
     gram, right = np.zeros((n_column, n_column)), np.zeros((n_column, len(source.channels)))
     sum_turns, sum_samples = np.zeros((n_sample, n_column)), np.zeros((n_sample, len(source.channels)))
     power = np.zeros(len(source.channels))
-    for number, period in enumerate(_periods(source, n_sample)):
+    cut = PeriodCut(n_sample)
+    periods = (period for block in checked_blocks(source) for period in cut.periods(block))
+    for number, period in enumerate(periods):
         if not first <= number < first + n_period:
             continue
         turned = shaft_turns(motion, number * n_sample, n_sample, source.sample_rate, n_harmonic)
@@ -297,15 +299,6 @@ def _fit(
         power,
         -0.5 * n_sample * n_period * float(np.sum(np.log(unexplained))),
     )
-
-
-def _periods(source: SampleSource, n_sample: int) -> Iterator[FloatArray]:
-    rest: FloatArray = np.empty((0, len(source.channels)))
-    for block in checked_blocks(source):
-        samples = np.concatenate([rest, block]) if rest.size else block
-        n_whole = samples.shape[0] // n_sample
-        yield from (samples[number * n_sample : (number + 1) * n_sample] for number in range(n_whole))
-        rest = samples[n_whole * n_sample :]
 
 
 def _refined_between(

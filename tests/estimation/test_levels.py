@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from labpipe.estimation.budget import with_sources
-from labpipe.estimation.levels import with_level_findings
-from labpipe.records.finding import Parameter
+from labpipe.estimation.levels import with_level_findings, with_orders_named
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.uncertain import Uncertainty
 
@@ -142,3 +142,21 @@ def test_noise_alone_is_a_false_alarm_in_one_run_of_a_hundred_at_most() -> None:
     draws = rng.multivariate_normal([K, C], covariance, size=(600, 2))
     alarms = [bool(named([fit("quiet", *low, 0.7), fit("loud", *high, 0.7)])) for low, high in draws]
     assert np.mean(alarms) < 0.01 + 3 * np.sqrt(0.01 / 600)
+
+
+@pytest.mark.parametrize(
+    ("line", "speed", "said"),
+    [
+        ("100", "6000 rpm", ", 1x of the shaft at 6000 rpm"),
+        ("100.2", "50 Hz", ", 2x of the shaft at 3000 rpm"),
+        ("100", "4000 rpm", ""),
+        ("100", "slow", ""),
+    ],
+)
+def test_a_line_alone_is_an_order_of_the_shaft_as_well(line: str, speed: str, said: str) -> None:
+    """At 6000 rpm 1x is 100 Hz, which a grid of 50 Hz has as well: nothing tells which of them acts."""
+    begins, ends = f"the line at {line} Hz alone makes it so", ", a multiple of the mains' 50 Hz: something"
+    message = begins + ends
+    off = fit("run", findings=(Finding("model-mismatch", message), Finding("drift", "another")))
+    (named_fit,) = with_orders_named([off], {"run": {"speed": speed}})
+    assert [found.message for found in named_fit.findings] == [begins + said + ends, "another"]

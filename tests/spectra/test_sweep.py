@@ -36,6 +36,21 @@ def off(response: FrequencyResponse, exact: np.ndarray) -> float:
     return float(np.max(np.abs(response.matrix[:, 0, 0] - exact)) / np.max(np.abs(exact)))
 
 
+@pytest.mark.parametrize("direction", ["up", "down", "up-down"])
+def test_sweeps_in_noise_nearly_as_large_are_whole(direction: str) -> None:
+    """White noise of 80 % of the sweeps' rms up to 500 Hz, of sweeps to 60 Hz: found in pieces or not at all
+    in 15 of 24. Ends are where some periods stand out of it: within a second of 8 s for 50 Hz.
+    """
+    for seed in range(4):
+        sweeps = Sweep((10.0, 60.0), 8.0, 1.0, "linear", direction, 1.5).samples(1000.0, 3)
+        noise = 0.8 * np.random.default_rng(seed).normal(size=sweeps.size)
+        found = find_sweeps(sweeps + noise)
+        assert len(found) == 3
+        for number, sweep in enumerate(found):
+            assert abs(sweep.start - 9500 * number) < 1000 and abs(sweep.stop - 9500 * number - 8000) < 1000
+            assert sweep.low * 1000 < 16 and sweep.high * 1000 > 54
+
+
 @pytest.mark.parametrize("law", ["linear", "logarithmic"])
 @pytest.mark.parametrize("direction", ["up", "down", "up-down"])
 @pytest.mark.parametrize(("pause", "band"), [(0.0, (5.0, 200.0)), (2.0, (35.0, 45.0))])

@@ -131,6 +131,16 @@ def test_the_report_begins_with_the_matrix_and_draws_tests_on_demand(
     assert not (folder / "two.md").exists()
 
 
+def test_a_condition_that_no_test_has_is_named_at_its_line(folder: Path, labpipe) -> None:
+    text = (folder / "p.yaml").read_text()
+    assert "over: [speed, load]" in text
+    (folder / "typo.yaml").write_text(text.replace("over: [speed, load]", "over: [speed, lod]"))
+    line = 1 + next(n for n, row in enumerate(text.splitlines()) if "over:" in row)
+    ended = labpipe("run", folder / "typo.yaml", "-o", folder / "typo")
+    assert ended.code == 2 and f"typo.yaml:{line}:" in ended.err and not (folder / "typo").exists()
+    assert "matrix.tm.over: no test has the condition 'lod'; did you mean 'load'?" in ended.err
+
+
 def test_tables_hold_conditions_values_and_uncertainties(result: Path) -> None:
     (matrix,) = read_identification(result).sections["matrix"]
     table = matrix_table((matrix,))

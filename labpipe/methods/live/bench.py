@@ -155,18 +155,14 @@ class FollowedFit:
         except (LabpipeError, LinAlgError):
             return
         self.by_run = fits[0] if fits else None
-        stated: dict[str, float] = {}
-        if response is not None and response.errors and fits and fits[0].budget is not None:
-            # Noise of the force within its window falls with every hit: it is in that of the averages.
-            budget = fits[0].budget.enlarge({error.uncertainty.source: 0.0 for error in response.errors})
-            stated = dict(zip(budget.names, map(float, budget.systematic), strict=True))
         now = {parameter.name: parameter.value for parameter in self._noise_parameters()}
         rings = self._rings_on(now)
+        lasts = charts.lasting(fits[0], response.errors) if fits and response is not None else {}
         self.common = {
             parameter.name: charts.CommonPart(
-                math.hypot(lasts := charts.lasting(parameter, stated), rest := rings.get(parameter.name, 0)),
+                math.hypot(lasts[parameter.name], rest := rings.get(parameter.name, 0.0)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
-                RINGS_ON if rest > lasts else parameter.reason,
+                RINGS_ON if rest > lasts[parameter.name] else parameter.reason,
             )
             for parameter in (fits[0].parameters if fits else ())
             if (parts := parameter.interval) is not None and parameter.name in now
@@ -204,8 +200,8 @@ class FollowedFit:
             averages=float(least),
             covariance_dof=float((least - 1) * (2 * running_fit.HALF_WIDTH + 1)),
             errors=tuple(
-                MatrixError(Uncertainty(f"noise of the force in its window {number}", 1.0, "1"), change)
-                for number, change in enumerate(changes @ inverse, 1)
+                MatrixError(Uncertainty(f"noise of the force in its window {n}", 1.0, "1"), change, True)
+                for n, change in enumerate(changes @ inverse, 1)
             ),
         )
 

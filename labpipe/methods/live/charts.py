@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -22,7 +22,9 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live import running_fit
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.finding import NORMAL, Finding, Parameter
+from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
+from labpipe.records.uncertain import MatrixError
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
 
@@ -362,13 +364,20 @@ class CommonPart:
         return value + self.shift, math.hypot(half, self.half)
 
 
-def lasting(parameter: Parameter, stated: Mapping[str, float]) -> float:
-    """The half-width [parameter unit] by model error and stated numbers, which averages do not take away; the
-    latter as *stated* by the names of parameters, where they are.
+def lasting(fit: Fit, errors: Iterable[MatrixError]) -> dict[str, float]:
+    """By the names of parameters, the half-width [parameter unit] by model error and stated numbers, which
+    averages do not take away: noise of the force within its window, an error of the FRF in the fit's budget
+    among all *errors*, falls with every hit.
     """
-    if (parts := parameter.interval) is None:
-        return 0.0
-    return NORMAL * math.hypot(parts.discrepancy, stated.get(parameter.name, parts.systematic))
+    falling, stated = {error.uncertainty.source: 0.0 for error in errors if error.by_repeat}, {}
+    if falling and fit.budget is not None:
+        budget = fit.budget.enlarge(falling)
+        stated = dict(zip(budget.names, map(float, budget.systematic), strict=True))
+    return {
+        p.name: NORMAL * math.hypot(parts.discrepancy, stated.get(p.name, parts.systematic))
+        for p in fit.parameters
+        if (parts := p.interval) is not None
+    }
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from labpipe.project.ingest import SAME_RATE, Calibration, channel_screen
 from labpipe.project.measured import measurement
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.raw_files.screening import TimeAxisScreen
-from labpipe.records.finding import WARNING, Finding, note, of_level
+from labpipe.records.finding import WARNING, Finding, Parameter, note, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
@@ -147,7 +147,11 @@ class WholeFits(GoalWatch):
                 # Of several bands or directions each one, as rules address them.
                 which = " ".join(filter(None, (fit.term, f"{fit.centre_hz:g} Hz")))
                 name = fit.name if several[fit.name] == 1 else f"{fit.name}[{which}]"
-                standings |= {f"{name}.{p.name}": self._standing(fit.name, p) for p in fit.parameters}
+                lasts = lasting(fit, getattr(result, "errors", ()))
+                standings |= {
+                    f"{name}.{p.name}": self._standing(fit.name, p, lasts.get(p.name, 0.0))
+                    for p in fit.parameters
+                }
             findings = [*result.findings, *(finding for fit in fits for finding in fit.findings)]
             findings += [s.no_help(label) for label, s in standings.items() if s.held_up]
         wanted = [standing for standing in standings.values() if standing.goal is not None]
@@ -162,8 +166,8 @@ class WholeFits(GoalWatch):
         self.keep(update)
         return [update]
 
-    def _standing(self, fit: str, parameter: Any) -> Standing:
-        floor, expected = lasting(parameter, {}), None
+    def _standing(self, fit: str, parameter: Parameter, floor: float) -> Standing:
+        expected = None
         standing = Standing(parameter, wanted := self.goal_of(fit, parameter, floor))
         if wanted is None or not (np.isfinite(standing.half) and self.averages):
             return standing

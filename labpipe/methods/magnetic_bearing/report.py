@@ -23,9 +23,8 @@ def robust_blocks(fit: Fit, plant: RobustPlant) -> list[Block]:
         size.append(
             curve(label, plant.frequency, nominal, colour, band=(low, nominal + radius), opacity=0.25)
         )
-        gain, zero, pole = plant.overbound[o, i]
-        bound = gain * np.abs((1 + 1j * plant.frequency / zero) / (1 + 1j * plant.frequency / pole))
         weights.append(curve(f"{label} weight", plant.frequency, plant.weight[:, o, i], colour))
+        bound = plant.bound(o, i)
         weights.append(curve(f"{label} overbound", plant.frequency, bound, colour, "--", width=0.9))
     panels = (
         over_frequency(Axis("displacement per current", "um/A", logarithmic=True), size, 3.0),

@@ -4,6 +4,8 @@ their likeness.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from labpipe.records.fit_details import FitDetailKind, Modes, StabilisationDiagram
@@ -27,6 +29,10 @@ TWO_SIGMA = 1.96
 
 
 def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
+    # With a model error a mode is not stated where the pole of all lines lies.
+    stated = {parameter.name: parameter.value for parameter in fit.parameters}
+    frequency = [stated.get(f"f_n_{n}", of_pole) for n, of_pole in enumerate(modes.frequency.tolist(), 1)]
+    modes = replace(modes, frequency=np.array(frequency))
     diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
     alike = _alike(fit, modes) if modes.frequency.size > 1 and len(modes.points) > 1 else []
     shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
@@ -38,12 +44,11 @@ def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
 def modes_table(fit: Fit, modes: Modes) -> Table:
     largest = np.argmax(np.abs(modes.shapes), axis=0)
     strongest = np.argmax(np.abs(modes.participation), axis=1)
-    # With a model error a mode is not stated where the pole of all lines lies.
     stated = {parameter.name: parameter.value for parameter in fit.parameters}
     rows = tuple(
         (
             str(n + 1),
-            f"{stated.get(f'f_n_{n + 1}', modes.frequency[n]):.6g}",
+            f"{modes.frequency[n]:.6g}",
             # A loss factor is twice the damping ratio of the same peak.
             f"{100 * stated.get(f'zeta_{n + 1}', stated.get(f'eta_{n + 1}', 2 * ratio) / 2):.4g}",
             modes.points[largest[n]],

@@ -8,7 +8,7 @@ Schoukens 2012, System Identification, sec. 9.10).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -29,12 +29,12 @@ from labpipe.methods.planning.records import RunPlan
 from labpipe.methods.planning.report import run_sentences
 from labpipe.methods.planning.runs import Answered, CandidateRun, Change, RunQuantity, RunQuestion, plan_runs
 from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
-from labpipe.methods.rotor.response import reduced_rotor
+from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
 from labpipe.methods.rotor.shaft import NodeSupport
-from labpipe.methods.wear.model import BETA_STEP, PLACES
+from labpipe.methods.wear.model import PLACES, rotor_response
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
-from labpipe.methods.wear.tables import VaryingSupport, film_slopes, response_with_slopes
+from labpipe.methods.wear.tables import VaryingSupport, film_slopes
 from labpipe.records.settings import Settings, choice, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 
@@ -186,24 +186,17 @@ class ExpectedWear:
         """H (n_line, 2, 2) [m/N] at lines [Hz], its derivatives (n, n_line, 2, 2) [m/N per SI unit]."""
         loads = self.rig.static_loads()
         supports = [self._support(place, loads[place.name], mesh) for place in self.rig.bearings]
-        response, slopes = self._response(lines, supports, self.beta)
-        if "beta" in self.values:
-            step = BETA_STEP * self.beta
-            ends = [self._response(lines, supports, self.beta + move)[0] for move in (step, -step)]
-            slopes[tuple(self.values).index("beta")] = (ends[0] - ends[1]) / (2 * step)
-        return response, slopes
+        nodes = (*(place.node for place in self.rig.bearings), self.rig.force, self.rig.response)
+
+        def rotor(beta: float) -> ReducedRotor:
+            return reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
+
+        return rotor_response(self.rig, rotor, supports, self.values, tuple(self.values), self.beta)
 
     @property
     def beta(self) -> float:
         """Damping of the shaft in proportion to its stiffness [s]."""
         return float(self.values.get("beta", self.rig.rotor.beta))
-
-    def _response(
-        self, lines: FloatArray, supports: Sequence[VaryingSupport], beta: float
-    ) -> tuple[ComplexArray, ComplexArray]:
-        nodes = (*(place.node for place in self.rig.bearings), self.rig.force, self.rig.response)
-        free = reduced_rotor(replace(self.rig.rotor, beta=beta), nodes, lines, self.rig.omega)
-        return response_with_slopes(free, supports, self.rig.response, self.rig.force)
 
     def _support(self, place: BearingPlace, load: tuple[float, float], mesh: FilmMesh) -> VaryingSupport:
         """A bearing with the derivatives of its coefficients by the parameters."""

@@ -49,7 +49,7 @@ STEPS = 4
 # Draws by which the normal approximation is compared with the tests, and the excess over the number of
 # unknowns that it bears, in standard deviations of a median of so many; fits of randomised maximum likelihood
 # where it fails, the steps of each, and the chance of a chi-square beyond which it has lost the rotor.
-LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 20, 3.0, 60, 6, 1e-4
+LOOKED, BEARABLE, REFITS, REFIT_STEPS, LOST = 80, 3.0, 60, 6, 1e-4
 # Misfit of a test below this probability, or a size beyond this many of the declared one, asks for an
 # alternative; intervals are then widened, since sizes are poorly known.
 MISFIT, ENLARGED, WIDENED = 1e-3, 1.5, 1.5

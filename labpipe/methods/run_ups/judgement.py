@@ -372,12 +372,14 @@ def _fit_one_mode(
 def _lag(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical) -> ComplexArray:
     """What the amplitude A of a mode that is passed at *rate* [Hz/s] is behind that of a steady rotor, A_s,
     *curve* (n,) at *speed* (n,) [Hz]. z = A exp(j angle) in the equation of motion: A_s - A of D A_s (1 - j a
-    / W^2) = (D + j a) A + 2 (j W + zeta w0) dA/dt + d2A/dt2, D = w0^2 - W^2 + 2 j zeta w0 W, a = dW/dt; w0
-    and zeta are those of the peak.
+    / W^2) = (D + j a) A + 2 (j W + zeta w0) dA/dt + d2A/dt2, D = w0^2 - W^2 + 2 j zeta w0 W, a = dW/dt. Of
+    the peak w0^2 = N_c^2 cos(p), zeta = sin(p / 2), tan(p) = N_c^2 (N_1^-2 - N_2^-2) / 2: 1 / |A|^2 is u^2 -
+    2 (1 - 2 zeta^2) u + 1 in u = (w0 / W)^2.
     """
     omega, acceleration = 2 * np.pi * speed, 2 * np.pi * rate
-    zeta = 0.5 / (peak.amplification or np.inf)
-    resonance = 2 * np.pi * peak.speed * np.sqrt(1 - 2 * zeta**2)
+    assert peak.low is not None and peak.high is not None
+    turned = np.arctan(peak.speed**2 * (peak.low**-2 - peak.high**-2) / 2)
+    zeta, resonance = np.sin(turned / 2), 2 * np.pi * peak.speed * np.sqrt(np.cos(turned))
     stiffness = resonance**2 - omega**2 + 2j * zeta * resonance * omega
     behind = np.zeros_like(curve)
     for _ in range(PASSES):

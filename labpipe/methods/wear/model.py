@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -86,27 +86,39 @@ class WornModel:
         """H (n_line, 2, 2) [m/N] and its derivatives by the scaled parameters, (n, n_line, 2, 2)."""
         values = self.values(parameters)
         supports = [bearing.support(values, self.names) for bearing in self.bearings]
-        beta = values.get("beta", self.rig.rotor.beta)
-        ends_of_path = self.rig.response, self.rig.force
-        response, slopes = tables.response_with_slopes(self._rotor(beta), supports, *ends_of_path)
-        if "beta" in self.names:
-            step = BETA_STEP * self.scale[self.names.index("beta")]
-            ends = [self._standing(beta + move, supports) for move in (step, -step)]
-            slopes[self.names.index("beta")] = (ends[0] - ends[1]) / (2 * step)
+        scale = self.scale[self.names.index("beta")] if "beta" in self.names else 0.0
+        response, slopes = rotor_response(self.rig, self._rotor, supports, values, self.names, scale)
         slopes = slopes * self.scale[:, None, None, None]
         if self.directional:
             return tables.forward_backward(response), tables.forward_backward(slopes)
         return response, slopes
-
-    def _standing(self, beta: float, supports: list[tables.VaryingSupport]) -> ComplexArray:
-        standing = self._rotor(beta).on(support.support for support in supports)
-        return standing.response(self.rig.response, self.rig.force)
 
     def _rotor(self, beta: float) -> ReducedRotor:
         places = {bearing.place.node for bearing in self.bearings}
         nodes = tuple(sorted(places | {self.rig.force, self.rig.response}))
         rotor = replace(self.rig.rotor, beta=beta)
         return _reduced_rotor(rotor, nodes, self.frequency, self.rig.omega)
+
+
+def rotor_response(
+    rig: RotorRig,
+    rotor: Callable[[float], ReducedRotor],
+    supports: list[tables.VaryingSupport],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    scale: float,
+) -> tuple[ComplexArray, ComplexArray]:
+    """H (n_line, 2, 2) [m/N] at the *rig*'s response and its derivatives by *names*, (n, n_line, 2, 2), of
+    the *rotor* by its damping beta [s] on *supports*; by beta over a step of BETA_STEP of its *scale* [s].
+    """
+    beta, ends_of_path = values.get("beta", rig.rotor.beta), (rig.response, rig.force)
+    response, slopes = tables.response_with_slopes(rotor(beta), supports, *ends_of_path)
+    if "beta" in names:
+        step = BETA_STEP * scale
+        moved = [rotor(beta + move).on(of.support for of in supports) for move in (step, -step)]
+        ends = [standing.response(*ends_of_path) for standing in moved]
+        slopes[names.index("beta")] = (ends[0] - ends[1]) / (2 * step)
+    return response, slopes
 
 
 @lru_cache(maxsize=8)

@@ -32,7 +32,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
 from labpipe.methods.live.charts import Goal
-from labpipe.methods.live.session import Session
+from labpipe.methods.live.session import Session, WholeFits
 from labpipe.methods.live.sources import (
     Folder,
     GrowingHdf5,
@@ -450,6 +450,35 @@ def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run(highest):
     # A standard deviation of 12 values errs by 21 %, the mean chi-square by 3 %.
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
     assert np.mean(reduced) == pytest.approx(1.0, abs=0.1)
+
+
+def test_noise_of_a_hammer_within_its_window_is_no_floor_of_whole_recordings():
+    """Hits under an exponential window are followed by fits of all samples, whose budget holds the noise of
+    the force in its window as an error of all lines. No number is stated: nothing is left of it by many hits.
+    """
+    n, hits, rate = 4400, 12, 2000.0
+    rng, force = np.random.default_rng(4), np.zeros(hits * n + 400)
+    channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
+    settings = ImpactSettings(force_window=0.03, decay=0.3)
+    frf = FrfSettings("impact", block=1.0, band=(10, 60), impact=settings)
+    w = 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
+    for hit in range(hits):
+        begin = 100 + hit * n + int(rng.integers(0, 50))
+        force[begin : begin + 9] = 100 * rng.uniform(0.7, 1.3) * np.sin(np.pi * np.arange(9) / 8)
+    spectrum = np.fft.rfft(force, 4 * hits * n) / (4e5 + 300j * w - 10 * w**2)
+    moved = np.fft.irfft(spectrum, 4 * hits * n)[: force.size]
+    noise = np.array([1.0, 2e-3 * np.max(np.abs(moved))]) * rng.normal(size=(force.size, 2))
+    goals = [Goal.of("s.k.expanded<=0.5%")]
+    fits = WholeFits(channels, rate, frf, [FitSettings("sdof", name="s", mass=10.0)], goals)
+    try:
+        fits.add(np.column_stack([force, moved]) + noise)
+        (update,) = fits.look() or fits.updates[-1:]
+    finally:
+        fits.close()
+    k = update.standings["s.k"]
+    assert k.parameter.interval.systematic > 3 * k.parameter.interval.noise
+    assert k.floor == pytest.approx(1.96 * k.parameter.interval.discrepancy, rel=1e-4)
+    assert k.floor < 0.2 * k.half and not k.held_up
 
 
 @pytest.mark.long

@@ -275,10 +275,13 @@ def test_result_is_read_back_and_reported() -> None:
     assert f"Least sure is mode {least + 1} at {modes.frequency[least]:.5g} Hz" in caption
     assert len(blocks) == 4 and len(single_fit_blocks(fit)) > len(blocks)
     # A mode whose model error moves what is stated of it has one frequency in the report.
-    first = next(n for n, parameter in enumerate(fit.parameters) if parameter.name == "f_n_1")
-    moved = replace(fit.parameters[first], value=1.01 * fit.parameters[first].value)
-    stated = replace(fit, parameters=(*fit.parameters[:first], moved, *fit.parameters[first + 1 :]))
-    assert float(modes_table(stated, modes).rows[0][1]) == pytest.approx(moved.value, rel=1e-5)
+    place = next(n for n, parameter in enumerate(fit.parameters) if parameter.name == f"f_n_{least + 1}")
+    moved = replace(fit.parameters[place], value=1.001 * fit.parameters[place].value)
+    stated = replace(fit, parameters=(*fit.parameters[:place], moved, *fit.parameters[place + 1 :]))
+    table, diagram, *shapes, _ = modal_blocks(stated, modes)
+    assert float(table.rows[least][1]) == pytest.approx(moved.value, rel=1e-5)
+    assert f"Least sure is mode {least + 1} at {moved.value:.5g} Hz" in diagram.caption
+    assert all(f"{moved.value:.4g} Hz" in str(shape.graphic) for shape in shapes)
     # Of a loss factor eta = 2 zeta as well.
     of_loss = replace(stated, parameters=(replace(moved, name="eta_1", value=0.05),))
     assert float(modes_table(of_loss, modes).rows[0][2]) == pytest.approx(2.5)

@@ -311,6 +311,36 @@ class Exponential(Reading):
 
 
 @dataclass(frozen=True)
+class Exponentials(Reading):
+    """A reading y = exp(theta) of every unknown."""
+
+    readings: np.ndarray
+    noise: float
+    name: str = "readings"
+
+    def residual(self, _model, values):
+        x = np.exp(values)
+        return (self.readings - x) / self.noise, lambda: np.diag(-x / self.noise)
+
+
+@pytest.mark.parametrize(("noise", "normal"), [(0.32, False), (0.02, True)])
+def test_a_posterior_that_bends_a_little_in_many_unknowns_is_told(noise: float, normal: bool) -> None:
+    """By quadrature over each of 52 alike unknowns chi-square of draws exceeds that of the middle by 1.16 and
+    1.00 of their number in the mean: 60, which 20 draws could not tell from 52 (they bore up to 61).
+    """
+    n = 52
+    model = SystemModel(tuple(Unknown(f"x{at}", 1.0, unit="kg.m") for at in range(n)), (), 0, 0)
+    found = fit_system(model, [Exponentials(np.ones(n), noise)])
+    place, weight = np.polynomial.hermite_e.hermegauss(60)
+    drawn = place * (1 + noise**-2.0) ** -0.5
+    mean = n * float(weight @ (((1 - np.exp(drawn)) / noise) ** 2 + drawn**2)) / float(weight.sum())
+    assert mean == pytest.approx(n * (1.0 if normal else 1.158), rel=0.002)
+    excess, bearable = normality(found)
+    assert (excess < bearable) is normal
+    assert excess == pytest.approx(mean, abs=4 * 1.25 * np.sqrt(2 * n / 80))
+
+
+@dataclass(frozen=True)
 class Linear(Reading):
     """Readings y = slopes * theta with noise of 1."""
 
