@@ -211,8 +211,8 @@ def test_periods_show_a_loop_by_what_does_not_repeat() -> None:
 
 
 def test_hum_in_the_sensors_of_force_and_motion_is_no_feedback() -> None:
-    """The mains at 50.03 Hz, which do not repeat with the periods, without any loop; a loop beside hum is named
-    all the same.
+    """The mains at 50.03 Hz, which do not repeat with the periods, without any loop; a loop beside hum is
+    named all the same.
     """
     for seed in range(4):
         run = periodic(seed, 15, 0.0, 0.01)
