@@ -255,9 +255,11 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) -> dict[str, Finding]:
+def delay_findings(
+    measured: Measured, model: DynamicModel, values: FloatArray, most: float = np.inf
+) -> dict[str, Finding]:
     """The channel whose delay explains a residual that is far from noise, with the finding; *values*
-    (n_parameter,) [parameter units] of the fit.
+    (n_parameter,) [parameter units] of the fit; *most*: chi-square [1] above which another cause is likelier.
 
     The delay of each response, of several forces too, is fitted beside all parameters from the best of a
     grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
@@ -277,8 +279,8 @@ def delay_findings(measured: Measured, model: DynamicModel, values: FloatArray) 
     explained = [(fitted, name) for fitted, name in tried if fitted is not None]
     if not explained:
         return {}
-    (_, finding), name = min(explained, key=lambda entry: entry[0][0])
-    return {name: finding}
+    (left, finding), name = min(explained, key=lambda entry: entry[0][0])
+    return {name: finding} if left <= most else {}
 
 
 def _best_of_grid(

@@ -13,8 +13,9 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.damping import FactorModel, damp
+from labpipe.estimation.damping import HYSTERETIC, FactorModel, damp
 from labpipe.estimation.descent import Linearisation, SquareSum, linearise_problem, minimise
+from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, Setup
@@ -217,7 +218,8 @@ def candidates(
     names those without a minimum; nothing for an unknown noise.
 
     *ml_estimate*: that of the fit itself, where it is by ml. Every descent is bounded. Without `compare` only
-    independent damping coefficients beside a damping law. p_value: probability of an equal or larger decrease
+    independent damping coefficients beside a damping law, and beside them hysteretic damping, where it alone
+    leaves noise. p_value: probability of an equal or larger decrease
     of chi-square to the richest variant that contains this one, if this one is true (likelihood ratio,
     chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
     """
@@ -244,9 +246,13 @@ def candidates(
     fitted = {name: candidate for name, candidate in results.items() if candidate is not None}
     inside = {of.name: [fitted[name] for name in of.inside if name in fitted] for of in variants}
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
+    tested.sort(key=lambda candidate: candidate.aic)
+    only_as_cause = tested and not whole and setup.settings.damping == VISCOUS
+    if only_as_cause and chi2_tail(tested[0].chi2, tested[0].dof) < MISMATCH_P:
+        return (), ()
     left_out = "; ".join(name for name in results if name not in fitted)
     what = f"Compared models left out, their descents found no minimum: {left_out}."
-    return tuple(sorted(tested, key=lambda candidate: candidate.aic)), (what,) if left_out else ()
+    return tuple(tested), (what,) if left_out else ()
 
 
 def comparison_findings(ranking: tuple[Candidate, ...]) -> tuple[Finding, ...]:
@@ -287,12 +293,12 @@ def variants_of(settings: FitSettings) -> list[_Variant]:
 
 
 def _damping_variants(settings: FitSettings) -> list[_Variant]:
+    """The fit itself and, beside a damping law, independent coefficients, beside these hysteretic damping."""
     plain = replace(settings, weight="none", sliding=None)
-    viscous = replace(plain, damping=VISCOUS)
-    return [
-        _Variant(f"{THIS}: {_description(plain)}", plain, (_description(viscous),)),
-        _Variant(_description(viscous), viscous),
-    ]
+    law = HYSTERETIC.name if settings.damping == VISCOUS else VISCOUS
+    others = [_Variant(_description(other), other) for other in _changes(plain, [(True, {"damping": law})])]
+    inside = tuple(other.name for other in others if law == VISCOUS)
+    return [_Variant(f"{THIS}: {_description(plain)}", plain, inside), *others]
 
 
 def _richer(settings: FitSettings) -> list[_Variant]:

@@ -22,7 +22,7 @@ from labpipe.estimation.budget import (
     with_contributions,
 )
 from labpipe.estimation.comparison import candidates, comparison_findings
-from labpipe.estimation.damping import damp
+from labpipe.estimation.damping import HYSTERETIC, damp
 from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
@@ -269,15 +269,20 @@ def _fit_band(
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    # Candidates show whether a damping law is justified.
+    # Candidates show whether a damping law is justified, or why the residual of viscous damping is not noise.
     of_model = estimator.likelihood and not settings.eliminate
+    alone = "damping" in settings.kind.keys and settings.sliding is None
+    lawless = of_model and alone and judgement.model_error is not None
     compared_models, of_comparison = (
         candidates(measured, setup, estimate if of_model else None)
-        if settings.compare or settings.damping != VISCOUS
+        if settings.compare or settings.damping != VISCOUS or lawless
         else ((), ())
     )
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
-    faults = _find_faults(case, judged) if judging else {}
+    of_law = bool(compared_models) and not settings.compare and settings.damping == VISCOUS
+    law, most = (f"{HYSTERETIC.name} damping", LIKELIER * compared_models[0].chi2) if of_law else ("", np.inf)
+    faults = _find_faults(case, judged, most) if judging else {}
+    cause = next((f"a delay of {late}" for late in faults if late), law)
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -296,20 +301,25 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_delay_as_cause(fit, judgement, *faults), fitted, model, estimate.values)
+    return _BandFit(_with_cause(fit, judgement, cause), fitted, model, estimate.values)
 
 
-def _with_delay_as_cause(fit: Fit, judgement: Judgement, late: str = "") -> Fit:
-    """The fit whose model error is the delay of the channel that is *late*, which explains the residual."""
-    error = judgement.model_error
-    if not late or error is None:
+# Times the chi-square of another law of damping up to which a delay is as likely.
+LIKELIER = 2.0
+
+
+def _with_cause(fit: Fit, judgement: Judgement, cause: str) -> Fit:
+    """The fit whose model error is a *cause* that alone explains the residual: a channel that is late, or
+    another law of damping.
+    """
+    error, reason = judgement.model_error, cause.removeprefix("a ")
+    if not cause or error is None:
         return fit
-    cause = f"delay of {late}"
     return replace(
         fit,
-        parameters=tuple(replace(p, reason=cause) if p.reason else p for p in fit.parameters),
+        parameters=tuple(replace(p, reason=reason) if p.reason else p for p in fit.parameters),
         findings=tuple(
-            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely a {cause}"))
+            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely {cause}"))
             for f in fit.findings
         ),
     )
@@ -452,10 +462,10 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _find_faults(case: Case, judged: _Judged) -> dict[str, Finding]:
+def _find_faults(case: Case, judged: _Judged, most: float) -> dict[str, Finding]:
     """Findings on a channel that is late, by its name, else under "" on a mass without uncertainty: a channel
     that is late makes any mass look wrong. Of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty.
+    phase to a force, a mass without uncertainty. *most*: chi-square [1] that a delay may leave.
     """
     settings, model = case.setup.settings, case.model
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
@@ -464,7 +474,7 @@ def _find_faults(case: Case, judged: _Judged) -> dict[str, Finding]:
         return {}
     values, chance, late = case.estimate.values, case.estimate.gof.chi2_p, {}
     if chance is not None and chance < diagnostics.MISMATCH_P:
-        late = causes.delay_findings(case.measured, model, values)
+        late = causes.delay_findings(case.measured, model, values, most)
     masses = () if late else causes.mass_findings(case.measured, model, values, case.setup, judged.stated)
     return {"": masses[0]} if masses else late
 

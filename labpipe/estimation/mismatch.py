@@ -31,13 +31,14 @@ from labpipe.estimation.statistics import Estimate, Stated, orthonormal, student
 from labpipe.estimation.weights import NOISE_FREE, Weights, complex_rows, has_noise
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Goodness
+from labpipe.spectra.bands import MAINS
 
 MOST_STEPS = 40
 # Distance from ml in standard errors at which another estimator counts as biased.
 BIASED = 4.0
 # A line is left out by so much more variance; of fewer lines one is too large a part. It is named with so
-# many hertz to either side, and as a multiple of the mains' frequency [Hz].
-OUT, FEWEST_LINES, EITHER, MAINS = 1e12, 10, 0.01, (50.0, 60.0)
+# many hertz to either side.
+OUT, FEWEST_LINES, EITHER = 1e12, 10, 0.01
 
 # What a missing or moved mode leaves in a few lines is not noise, though noise of their power explains it.
 OF_A_MODE = (MOVED_FREQUENCY, SECOND_MODE)

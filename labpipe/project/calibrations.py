@@ -140,6 +140,9 @@ def calibrated_slope(reference: str, folder: Path) -> Slope:
     if len(slopes) > 1:
         what = f"'{file}' holds {len(slopes)} calibration fits '{fit_name}'"
         raise UnitError(what, "one for each group; one without a group is needed")
+    if not slopes and fits:
+        what = f"the fit '{fit_name}' of '{file}' has no slope: it is no line of `calibrate:`"
+        raise UnitError(what, "write the number with its uncertainty, as 2.31 mV/N +- 0.3 %")
     if not slopes:
         raise UnitError(f"'{file}' holds no calibration fit '{fit_name}'", nearest(fit_name, names))
     return slopes[0]

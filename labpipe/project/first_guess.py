@@ -35,16 +35,20 @@ _RECORDED = (
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(?:[^\d:]*|[^:]*:)(\d+):?([+-])[XYZ](?:_\d+)?$")
 _BY_NAME = (
-    ("tacho", r"tacho|keyphasor|key.?phasor|trigger|rpm|drehzahl"),
+    ("tacho", r"tacho|key.?phasor|\bkey\b|trigger|rpm|drehzahl"),
     (
         "force",
-        r"force|hammer|kraft|load.?cell|impact|impuls(?!e? ?resp)|excitation|anregung|shaker|\bf[xyz]?\d*\b",
+        r"force|hammer|kraft|load.?cell|\blc\b|impact|impuls(?!e? ?resp)|excitation|anregung|shaker"
+        r"|\bf[xyz]?\d*\b",
     ),
     ("acceleration", r"acc|beschl|\ba[xyz]?\d*\b"),
     ("velocity", r"vel|\bv[xyz]?\d*\b"),
     ("displacement", r"disp|prox|probe|eddy|gap|weg|\b[xyz]\d*\b"),
     ("current", r"current|strom|\bi\d*\b"),
 )
+
+
+_SENSITIVITY = {"force": "10 mV/N", "acceleration": "10 mV/(m/s^2)", "velocity": "20 mV/(mm/s)"}
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,12 @@ class GuessedChannel:
     def decisions(self) -> tuple[str, ...]:
         """Decisions that the user must take, as text."""
         known = QUANTITIES.get(self.quantity)
+        sensitivity = _SENSITIVITY.get(self.quantity, "8 V/mm")
         questions = {
             "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not "
             "needed",
             "unit": "the unit of the recorded numbers" + (f", for example {known.si_unit}" if known else ""),
-            "sensitivity": "recorded volts per quantity, for example 8 V/mm",
+            "sensitivity": f"recorded volts per quantity, for example {sensitivity}",
         }
         decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
         return (*decisions, self.guess) if decisions and self.guess else decisions

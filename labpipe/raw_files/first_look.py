@@ -87,9 +87,10 @@ def find_period(signal: FloatArray) -> int:
     if not peaks.size:
         return 0
     # Noise lowers the correlation at all multiples of the period equally; the period is the shortest lag
-    # close to the maximum.
-    near = peaks[later[peaks] >= later[peaks].max() - (1 - ALIKE) / 2]
-    return int(uncorrelated[0] + near[0])
+    # close to the maximum, as are its multiples: those of 1638 samples are not where 1638.4 repeat.
+    least = later[peaks].max() - (1 - ALIKE) / 2
+    near = [int(lag) for lag in uncorrelated[0] + peaks[later[peaks] >= least]]
+    return next((lag for lag in near if np.min(correlation[::lag]) >= least), near[0])
 
 
 def hit_starts(force: FloatArray) -> IntArray:

@@ -31,6 +31,10 @@ MOST_EXACT_BITS = 32
 _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
+# Of the metadata of a Parquet table that states its rate [Hz].
+RATE_KEY = b"sample_rate"
+
+
 class ParquetTable:
     """The columns of a Parquet table that hold numbers, states (0 or 1), or times, in seconds since the
     midnight before the first. Satisfies RawTable.
@@ -45,7 +49,8 @@ class ParquetTable:
         self.texts = tuple(name for name, is_number in held if not is_number)
         self.units = {name: unit for name in self.columns if (unit := bracketed_unit(name))}
         self.units |= {name: "s" for name in self.columns if pa.types.is_temporal(self._kinds[name])}
-        self.sample_rate: float | None = None
+        rate = (file.schema_arrow.metadata or {}).get(RATE_KEY)
+        self.sample_rate: float | None = None if rate is None else float(rate)
         self.n_row = file.metadata.num_rows
         if self.n_row == 0 or not self.columns:
             raise DataError("has no rows" if self.columns else "has no column of numbers", path)

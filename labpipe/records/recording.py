@@ -16,6 +16,7 @@ from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding
 from labpipe.records.text import VIEWS, recording_line
 from labpipe.records.uncertain import ChannelUncertainty, as_uncertainties
+from labpipe.registry import nearest
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,11 @@ class Channel:
 
     def __post_init__(self) -> None:
         if self.quantity not in QUANTITIES:
-            raise DataError(f"channel '{self.name}' has the unknown quantity '{self.quantity}'")
+            what = f"channel '{self.name}' has the unknown quantity '{self.quantity}'"
+            raise DataError(what, hint=nearest(self.quantity, QUANTITIES))
         if self.role not in ROLES:
-            raise DataError(f"channel '{self.name}' has the unknown role '{self.role}'")
+            what = f"channel '{self.name}' has the unknown role '{self.role}'"
+            raise DataError(what, hint=nearest(self.role, ROLES))
         # A file gives lists.
         object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
         object.__setattr__(self, "terms", as_terms(self.terms))
@@ -146,7 +149,11 @@ class Recording:
             raise DataError(f"recording '{self.name}' has two channels of one name: {', '.join(names)}")
         if not self.sample_rate > 0:
             raise DataError(f"recording '{self.name}' has the sample rate {self.sample_rate} Hz")
-        shape = (np.shape(self.samples)[0] if np.ndim(self.samples) else 0, len(names))
+        given = np.shape(self.samples)
+        if len(given) == 2 and given[0] == len(names) != given[1]:
+            what = f"recording '{self.name}' has the shape {given}, a row for each channel"
+            raise DataError(what, hint="a column for each: samples.T")
+        shape = (given[0] if given else 0, len(names))
         freeze(self, "samples", np.float64, shape, f"recording '{self.name}'")
 
     def __repr__(self) -> str:

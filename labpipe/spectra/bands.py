@@ -18,6 +18,8 @@ from labpipe.spectra.shaft import shaft_motion
 EDGE = 1e-9
 # A period of fewer samples is read before it is compared with the recording, which says more.
 MANY_SAMPLES = 1 << 22
+# Frequencies of the mains [Hz].
+MAINS = (50.0, 60.0)
 
 
 def lines_in(

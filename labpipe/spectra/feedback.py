@@ -10,9 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import fft, linalg, special
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
+from labpipe.spectra.bands import MAINS
 from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.matrices import definite_inverse, product
 from labpipe.spectra.period_average import LineSpectrum
@@ -49,6 +50,8 @@ COARSE_BANDS, LOG_BANDS = 200, 60
 LEAST_SHARE = 0.1
 # Added to the power of forces of unit level, so that forces that are one can be told apart from none.
 RIDGE = 1e-9
+# Times the median of the noise from which hum stands out, and times its reach that it is left out.
+OUTSTANDING, REACH = 2.0, 3.0
 # First over last line above which too much of the band is missing below it to tell of lags.
 LOWEST_EDGE = 0.15
 
@@ -331,11 +334,12 @@ def feedback_of_periods(
             continue
         noise = layout.pad(number, spectrum.noise, 2)
         for force in range(n_input):
+            told = ~lines_of_hum(spectrum.frequency, noise[:, force, force].real)
             values = [
                 chance_of_phase(
-                    noise[:, [force, n_input + o]][:, :, [force, n_input + o]],
-                    matrix[:, o, force],
-                    gain[:, force],
+                    noise[told][:, [force, n_input + o]][:, :, [force, n_input + o]],
+                    matrix[told, o, force],
+                    gain[told, force],
                     spectrum.dof,
                 )
                 for o in range(matrix.shape[1])
@@ -343,6 +347,21 @@ def feedback_of_periods(
             name = layout.inputs[force].label
             chances[name] = min(min(values) * len(values) * n_input * len(spectra), chances.get(name, 1.0))
     return _findings(chances, (), WEIGHTED)
+
+
+def lines_of_hum(frequency: FloatArray, variance: FloatArray) -> BoolArray:
+    """Lines (n_line,) of a *frequency* [Hz] beside a multiple of the mains whose hum stands out of the
+    *variance* (n_line,) [SI] of the noise: hum in the sensors of force and response looks as if one followed
+    the other. It falls as 1 / distance^2 and is left out to REACH times where it stands out.
+    """
+    loud, hum = variance > OUTSTANDING * np.median(variance), np.zeros(frequency.shape, bool)
+    for base in MAINS:
+        for multiple in np.arange(base, frequency.max(initial=0.0) + base, base):
+            away = np.abs(frequency - multiple)
+            order = np.argsort(away)
+            here = order[: int(np.argmin(np.append(loud[order], False)))]
+            hum |= away <= REACH * away[here].max(initial=0.0)
+    return hum
 
 
 def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArray, dof: float) -> float:

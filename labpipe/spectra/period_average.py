@@ -57,12 +57,20 @@ class LineSpectrum:
         )
 
 
+# Most periods that are taken as one where they hold a whole number of samples together.
+MOST_TOGETHER = 20
+
+
 def samples_per_period(period: float, sample_rate: float) -> int:
     """Samples in a period [s]; ConfigError unless their number is whole."""
     exact = period * sample_rate
     n_sample = round(exact)
     if n_sample < 2 or abs(exact - n_sample) > 1e-6 * exact:
+        whole = (n for n in range(2, MOST_TOGETHER + 1) if abs(n * exact - round(n * exact)) <= 1e-6 * exact)
+        together = next(whole, 0) if n_sample >= 2 else 0
         hint = f"the nearest period that does is {max(n_sample, 2) / sample_rate:.9g} s"
+        if together:
+            hint = f"{together} of them do: period: {together * period:.9g} s"
         what = f"a period of {period:g} s holds {exact:.6g} samples at {sample_rate:g} Hz, not a whole number"
         raise ConfigError(what, hint=hint)
     return n_sample
@@ -353,11 +361,14 @@ class PeriodAverage:
         # What a channel has beyond those before it: what they share may hide that it is slow.
         size, unit = size[:, noisy], np.eye(int(np.sum(noisy)))
         scatter = self._scatter[:, noisy][:, :, noisy] / (size[:, :, None] * size[:, None, :])
-        factor = np.linalg.cholesky((scatter if len(unit) < n else unit[None]) + RIDGE * unit)
+        # A force that is a mass times an acceleration has nothing of its own but rounding.
+        ridge = RIDGE + rounding[noisy] / size
+        factor = np.linalg.cholesky((scatter if len(unit) < n else unit[None]) + ridge[:, None] * unit)
         beside = (self._beside[..., noisy] / size).transpose(1, 2, 0)
         share = np.sum(np.abs(np.linalg.solve(factor, beside)) ** 2, axis=2) / n
         # Of independent periods the share of so many of n - 1 lines has a beta distribution.
-        excess = np.where(np.einsum("laa->la", factor).real ** 2 > LEAST_OWN, share - near / (n - 1), 0.0)
+        has_own = np.einsum("laa->la", factor).real ** 2 > LEAST_OWN + 4 * ridge
+        excess = np.where(has_own, share - near / (n - 1), 0.0)
         excess *= (n - 1) * np.sqrt(n / (near * (n - 1 - near)))
         # A response that drifts has more there, not less.
         for starts in (np.zeros(1, int), self.differences.starts):

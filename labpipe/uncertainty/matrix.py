@@ -5,6 +5,7 @@ rest position.
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -330,7 +331,9 @@ def condition_matrix(
         matrix = replace(matrix, points=tuple(_beside_theory(matrix, point, theory) for point in points))
     if settings.path is not None:
         matrix = replace(matrix, paths=equilibrium_paths(settings.path, matrix, chosen))
-    return _judge(matrix, settings)
+    return _judge(
+        matrix, settings, [name for name in differing_words(points, conditions) if name not in asked]
+    )
 
 
 # A condition of all tests: its SI unit, and values (n_test,) in it.
@@ -402,7 +405,25 @@ def _beside_theory(
     return replace(point, values=values)
 
 
-def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comparison.ConditionMatrix:
+def differing_words(
+    points: Sequence[comparison.MatrixPoint], conditions: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    """Conditions in words, such as a design, that differ between tests of one point."""
+    named = {name: None for point in points for test in point.tests for name in conditions.get(test, {})}
+    return [
+        name
+        for name in named
+        if any(
+            len(said := {conditions.get(test, {}).get(name) for test in point.tests}) > 1
+            and not all(re.match(r"[-+.\d]", str(value)) for value in said)
+            for point in points
+        )
+    ]
+
+
+def _judge(
+    matrix: comparison.ConditionMatrix, settings: MatrixSettings, differing: Sequence[str]
+) -> comparison.ConditionMatrix:
     values = [(point, value) for point in matrix.points for value in point.values]
     tested = [pair for pair in values if pair[1].p_value is not None and not pair[1].parameter.derived]
     corrected = holm(np.array([value.p_value for _, value in tested]))
@@ -422,7 +443,9 @@ def _judge(matrix: comparison.ConditionMatrix, settings: MatrixSettings) -> comp
         statement += f"; the theory lies in {sum(holding)} of {len(holding)} 95 % intervals"
     amplitude = amplitude_statement(matrix, settings.level)
     whole = f"{statement}.{f' {amplitude}.' if amplitude else ''}"
-    return replace(matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart), statement=whole)
+    return replace(
+        matrix, amounts=tuple(amounts), findings=_repeats_findings(matrix, apart, differing), statement=whole
+    )
 
 
 def _largest_error(matrix: comparison.ConditionMatrix, name: str) -> Parameter:
@@ -432,17 +455,22 @@ def _largest_error(matrix: comparison.ConditionMatrix, name: str) -> Parameter:
 
 
 def _repeats_findings(
-    matrix: comparison.ConditionMatrix, apart: Sequence[tuple[comparison.MatrixPoint, comparison.Repeated]]
+    matrix: comparison.ConditionMatrix,
+    apart: Sequence[tuple[comparison.MatrixPoint, comparison.Repeated]],
+    differing: Sequence[str],
 ) -> tuple[Finding, ...]:
     if not apart:
         return ()
     shares = [100 * (of.scatter or 0.0) / abs(of.parameter.value or 1.0) for _, of in apart]
     point, value = apart[int(np.argmax(shares))]
     worst = f"most at {matrix.text_of(point)}, where {value.parameter.name} scatters by {max(shares):.2g} %"
+    cause = "Something changes between repeats: temperature, remounting, the setting of the condition"
+    if differing:
+        named = ", ".join(differing)
+        cause = f"Tests of one point are no repeats, but differ in {named}: name it in `over`, as a number"
     message = (
         f"repeats scatter more than their standard errors for {len(apart)} coefficients at "
         f"{len({p.place for p, _ in apart})} of {len(matrix.points)} points, {worst}; the errors of the "
-        "means are enlarged accordingly. Something changes between repeats: temperature, remounting, the "
-        "setting of the condition"
+        f"means are enlarged accordingly. {cause}"
     )
     return (Finding("repeats-apart", message),)

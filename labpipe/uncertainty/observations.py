@@ -236,4 +236,5 @@ def condition_of(name: str, test: str, conditions: Mapping[str, Any]) -> tuple[f
     try:
         return si_amount(_condition(name, test, conditions))
     except UnitError as error:
-        raise ConfigError(f"condition {name} of test '{test}': {error.what}", hint=error.hint) from None
+        hint = f"{error.hint}; tests that differ in words are compared by `group`"
+        raise ConfigError(f"condition {name} of test '{test}': {error.what}", hint=hint) from None

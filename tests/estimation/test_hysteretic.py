@@ -83,6 +83,24 @@ def test_a_recorded_multisine_gives_eta_within_its_interval(
         assert found[name]["std_error"] < 1e-2 * value
 
 
+def test_a_viscous_fit_of_a_loss_factor_is_told_the_law_of_its_damping() -> None:
+    """FRFs drawn from the closed forms: viscous k and c where k (1 + j eta) is true, and both ways no law."""
+    (fit,) = identify(one_mass(1, 2e-4), FitSettings("sdof", mass=M))
+    (mismatch,) = (finding.message for finding in fit.findings if finding.code == "model-mismatch")
+    assert (
+        "; most likely hysteretic damping. " in mismatch and fit.parameter("k").reason == "hysteretic damping"
+    )
+    (other,) = (finding.message for finding in fit.findings if finding.code == "other-model")
+    assert "'sdof, hysteretic damping' with 2 parameters" in other
+    # Stiffness over frequency is neither law: no other one is named.
+    response = one_mass(1, 2e-4)
+    stiffer = 1 + 0.5 * np.sqrt(1j * response.frequency / 44.3)
+    h = 1 / (K * stiffer - M * (2 * np.pi * response.frequency) ** 2)
+    for other in (replace(response, matrix=h[:, None, None]), one_mass(1, 0.02)):
+        (fit,) = identify(other, FitSettings("sdof", mass=M))
+        assert not any("hysteretic" in finding.message for finding in fit.findings) and not fit.candidates
+
+
 @pytest.mark.long
 def test_intervals_of_one_mass_are_the_scatter() -> None:
     fits = [identify(one_mass(seed), FitSettings("sdof", damping="hysteretic"))[0] for seed in range(60)]

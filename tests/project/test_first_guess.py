@@ -31,6 +31,8 @@ def guess(name: str, unit: str = "") -> GuessedChannel:
         ("tacho", "V", "tacho", "reference"),
         ("Drehzahl", "", "tacho", "reference"),
         ("keyphasor", "V", "tacho", "reference"),
+        ("KEY", "V", "tacho", "reference"),
+        ("LC_X", "V", "force", "input"),
     ],
 )
 def test_unit_and_name_say_the_quantity(name: str, unit: str, quantity: str, role: str) -> None:
@@ -100,13 +102,18 @@ def test_copies_of_a_channel_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "quantity"), [("probe x", "displacement"), ("hammer", "force"), ("acc z", "acceleration")]
+    ("name", "quantity", "example"),
+    [
+        ("probe x", "displacement", "8 V/mm"),
+        ("hammer", "force", "10 mV/N"),
+        ("acc z", "acceleration", "10 mV/(m/s^2)"),
+    ],
 )
-def test_volts_of_a_sensor_need_its_sensitivity(name: str, quantity: str) -> None:
+def test_volts_of_a_sensor_need_its_sensitivity(name: str, quantity: str, example: str) -> None:
     found = guess(name, "V")
     assert (found.quantity, found.unit, found.sensitivity) == (quantity, "V", DECIDE)
     assert found.decisions == (
-        "recorded volts per quantity, for example 8 V/mm",
+        f"recorded volts per quantity, for example {example}",
         f"{quantity} is a guess from the name",
     )
 

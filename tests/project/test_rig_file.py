@@ -172,6 +172,7 @@ def test_a_calibrated_slope_is_a_sensitivity(tmp_path: Path) -> None:
     ("reference", "said"),
     [
         ("cal.json#probe_z", "'cal.json' holds no calibration fit 'probe_z'; did you mean 'probe_x'"),
+        ("cal.json#cell", "the fit 'cell' of 'cal.json' has no slope: it is no line of `calibrate:`"),
         ("none.json#probe_x", "'none.json' is not a readable identification.json of a calibration"),
         ("bad.json#probe_x", "'bad.json' is not a readable identification.json of a calibration"),
         ("cal.json#force", "does not lead from the channel's unit to m"),
@@ -179,6 +180,9 @@ def test_a_calibrated_slope_is_a_sensitivity(tmp_path: Path) -> None:
 )
 def test_a_slope_that_is_not_there(tmp_path: Path, reference: str, said: str) -> None:
     calibration(tmp_path, ("probe_x", 8000.0, "V/m"), ("force", 5.8, "N/A"))
+    text = json.loads((tmp_path / "cal.json").read_text())
+    text["fits"].append({"name": "cell", "parameters": [{"name": "gain", "value": 2e-3, "unit": "1"}]})
+    (tmp_path / "cal.json").write_text(json.dumps(text))
     (tmp_path / "bad.json").write_text("[]")
     found = faults(
         tmp_path, f"channels:\n  a: {{quantity: displacement, unit: V, sensitivity: '{reference}'}}\n"

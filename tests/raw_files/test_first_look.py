@@ -37,6 +37,13 @@ def test_a_sine_is_periodic_by_one_turn() -> None:
     assert find_period(np.sin(2 * np.pi * np.arange(1000) / 40)) == 40
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_a_period_between_two_samples_is_that_of_whole_samples(rng, noise: float) -> None:
+    """Lines at multiples of 5 Hz at 8192 Hz repeat after 1638.4 samples, whole ones after 8192."""
+    force = multisine(8192, 12 * 8192, range(20, 1001, 5))
+    assert find_period(force + noise * np.std(force) * rng.standard_normal(force.size)) == 8192
+
+
 def test_noise_has_no_period_and_is_cut_into_blocks(rng) -> None:
     force = rng.normal(size=40_000)
     found = look(force, RATE)

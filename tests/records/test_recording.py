@@ -60,7 +60,12 @@ def test_every_role_is_allowed(role: str) -> None:
 def test_a_channel_that_cannot_be_is_refused(changes: dict[str, str], said: str) -> None:
     with pytest.raises(DataError) as caught:
         dataclasses.replace(F, **changes)  # type: ignore[arg-type]
-    assert str(caught.value) == said
+    assert caught.value.what == said and str(caught.value).startswith(f"{said}; ")
+
+
+def test_a_quantity_is_answered_by_the_nearest_one() -> None:
+    with pytest.raises(DataError, match="did you mean 'force'"):
+        dataclasses.replace(F, quantity="Force")
 
 
 def test_rows_of_a_sensor_response_are_tuples_whatever_they_came_as() -> None:
@@ -94,6 +99,11 @@ def test_two_channels_of_one_name_are_refused() -> None:
 def test_samples_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(DataError, match="recording 'run 7' has the shape"):
         recording(samples=np.zeros(shape))
+
+
+def test_rows_in_place_of_columns_are_told_what_to_do() -> None:
+    with pytest.raises(DataError, match=r"\(2, 10\), a row for each channel; a column for each: samples\.T"):
+        recording(samples=np.zeros((2, 10)))
 
 
 def test_a_sample_that_is_no_number_is_named_by_sample_and_channel() -> None:

@@ -210,6 +210,22 @@ def test_periods_show_a_loop_by_what_does_not_repeat() -> None:
         )
 
 
+def test_hum_in_the_sensors_of_force_and_motion_is_no_feedback() -> None:
+    """The mains at 50.03 Hz, which do not repeat with the periods, without any loop; a loop beside hum is
+    named all the same.
+    """
+    for seed in range(4):
+        run = periodic(seed, 15, 0.0, 0.01)
+        hum = np.cos(2 * np.pi * 50.03 / RATE * np.arange(run.samples.shape[0])[:, None] + [0.0, 1.0])
+        size = 0.1 * np.std(run.samples, axis=0)
+        assert feedback([replace(run, samples=run.samples + size * hum)], PERIODIC) == []
+    (run,) = recordings(rig(disturbance=4.0), 1, ["multisine-x"])
+    names = [channel.name for channel in run.channels]
+    hum = np.cos(2 * np.pi * 50.03 / run.sample_rate * np.arange(run.samples.shape[0]))
+    size = 0.1 * np.std(run.samples, axis=0) * [name[0] in "fx" for name in names]
+    assert len(feedback([replace(run, samples=run.samples + size * hum[:, None])], PERIODIC)) == 1
+
+
 def test_the_phase_test_is_exact(rng: np.random.Generator) -> None:
     """p-values of Gaussian noise with real S_wu / G are uniform, of 4 degrees of freedom as of 40: 5 % below
     0.05.

@@ -104,6 +104,10 @@ def test_a_period_holds_whole_samples() -> None:
     with pytest.raises(ConfigError, match="not a whole number") as caught:
         samples_per_period(0.1234567, 1000.0)
     assert caught.value.hint == "the nearest period that does is 0.123 s"
+    # 1638.4 samples: lines at multiples of 5 Hz.
+    with pytest.raises(ConfigError, match=r"holds 1638\.4 samples") as caught:
+        samples_per_period(0.2, 8192.0)
+    assert caught.value.hint == "5 of them do: period: 1 s"
 
 
 def test_too_short_for_one_period() -> None:
@@ -250,6 +254,21 @@ def test_noise_that_goes_on_is_told_and_independent_noise_and_drift_are_not() ->
         for _ in range(40)
     ]
     assert sum(beside(both).lines_beside() == 3 for both in shared) >= 36
+
+
+@pytest.mark.parametrize("size", [1e2, 1e5, 1e8])
+def test_a_channel_that_is_another_one_times_a_number_is_no_noise_of_its_own(size: float) -> None:
+    """A force that is a mass times an acceleration beside a signal of so many times the noise: its rounding
+    was no positive definite matrix. Noise that goes on is told all the same.
+    """
+    rng, periodic = np.random.default_rng(8), np.tile(np.random.default_rng(9).normal(size=(N, 1)), (12, 1))
+
+    def lines(noise: np.ndarray) -> int:
+        a = size * periodic + noise
+        return beside(np.hstack([a, 4.982 * a, periodic + rng.normal(size=a.shape) / size])).lines_beside()
+
+    assert sum(lines(rng.normal(size=(12 * N, 1))) > 0 for _ in range(40)) <= 2
+    assert sum(lines(oscillation(rng, 12, 0.4, 8.3)) == 3 for _ in range(20)) >= 18
 
 
 def test_noise_of_the_mean_is_that_between_the_lines_at_and_beside_a_resonance() -> None:

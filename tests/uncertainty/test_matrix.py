@@ -98,6 +98,14 @@ def test_repeats_apart_are_named_and_their_mean_widened() -> None:
     # The error of the mean is that of the scatter, 2e4 / sqrt 3.
     assert matrix.points[0].values[0].parameter.std_error == pytest.approx(2e4 / np.sqrt(3), rel=1e-9)
     assert matrix.amount("repeats_apart").value == 1
+    assert "Something changes between repeats" in matrix.findings[0].message
+    # Two designs are no repeats; repeats have numbers of their own.
+    values = [(1.00e6, "A"), (1.02e6, "B"), (0.98e6, "B")]
+    tests = [
+        ({"k": (k, 1e3)}, at("50 Hz", "1 kN", design=design, flow=f"{k:g} l/min")) for k, design in values
+    ]
+    message = a_matrix(tests).findings[0].message
+    assert "no repeats, but differ in design: name it in `over`, as a number" in message
 
 
 @pytest.mark.long

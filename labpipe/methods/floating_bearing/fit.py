@@ -4,6 +4,7 @@ noise and of given numbers.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -331,6 +332,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *fit.findings,
         *solved.findings,
         *error.finding,
+        *(turned_channels(stator, given, best) if likely else ()),
         *choice_findings(solved.candidates, best.model.form.name, section.form is not None),
         *(noise_findings(best, noise) if likely else ()),
         *(() if smeared is None else smeared.finding(stiffness, modelled=likely)),
@@ -355,6 +357,33 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         budget=budget if fit.converged else None,
         discrepancy=error.discrepancy,
     )
+
+
+# Chi-square per degree of freedom from which a sign is asked for, and the share of it that is left then.
+FAR_OFF, LEFT, DIRECT_DAMPING = 10.0, 0.1, ("c_xx", "c_yy")
+
+
+def turned_channels(stator: Stator, given: Given, best: Optimum) -> list[Finding]:
+    """The channel that explains a residual far from noise where its sign is turned, by a fit with each. Of a
+    force and an acceleration that both do, the one that leaves fewer negative direct damping coefficients.
+    """
+    tried = []
+    for number in np.flatnonzero(np.any(stator.to_axes, axis=0)) if best.reduced > FAR_OFF else ():
+        signs = np.where(np.arange(stator.to_axes.shape[1]) == number, -1.0, 1.0)
+        turned = replace(stator, to_axes=stator.to_axes * signs)
+        uncertain = functools.partial(changes_by_given, turned, given)
+        with contextlib.suppress(FitError, np.linalg.LinAlgError):
+            other = estimate(balance_of(turned, given), best.model, stator.noise, uncertain)
+            damping = [v for n, v in zip(best.model.names, other.values, strict=True) if n in DIRECT_DAMPING]
+            if other.reduced < LEFT * best.reduced:
+                name = stator.spectra.channels[number].name
+                tried.append((int(np.sum(np.less(damping, 0))), other.reduced, name))
+    if not tried:
+        return []
+    _, left, name = min(tried)
+    what = f"channel {name} has the wrong sign: turned, it leaves {left:.3g} times the squares of noise"
+    cure = f"in place of {best.reduced:.3g}; `invert: true` for it in the rig file"
+    return [Finding("unphysical", f"{what}, {cure}")]
 
 
 NO_DIMENSIONLESS = "no coefficients without dimension: they need a speed, a load, and another form than bands"

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError
 from labpipe.raw_files import mdf_table, tdms_table
-from labpipe.raw_files.other_tables import wav_chunks
+from labpipe.raw_files.other_tables import RATE_KEY, wav_chunks
 from labpipe.raw_files.table import check_columns, check_names, open_table
 from labpipe.raw_files.text_table import CsvTable, plain_suffix
 from labpipe.records.finding import Finding
@@ -382,7 +382,8 @@ class Frames:
 
     def recordings(self, write_path: Callable[[str], Path]) -> list[Path]:
         """What is on disk as Parquet files, one for each process, where *write_path* of their names says."""
-        schema, paths = pa.schema([(name, pa.float64()) for name in self.columns]), []
+        fields, paths = [(name, pa.float64()) for name in self.columns], []
+        schema = pa.schema(fields, {RATE_KEY: str(self.sample_rate)})
         # Where all had been read before the kill, nothing comes behind it.
         files = self.files[:-1] if self.kept and not self.kept.n_frame and self.n_earlier else self.files
         for number, path in enumerate(files, 1):

@@ -263,7 +263,8 @@ def headline(session: Session, update: Update) -> str:
         return f"Enough: {count}, every goal is reached."
     goals = [standing for standing in update.standings.values() if standing.goal is not None]
     missing = sum(not standing.reached for standing in goals)
-    left = f"{missing} of {len(goals)} goals are not reached yet." if goals else "No goal is set."
+    left = "No goal is set." if not session.goals else "It is too early to judge the goals."
+    left = f"{missing} of {len(goals)} goals are not reached yet." if goals else left
     return f"{count}. {left}"
 
 

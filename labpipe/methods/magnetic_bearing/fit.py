@@ -12,10 +12,11 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import number
 from labpipe.errors import ConfigError, FitError, SettingError
+from labpipe.estimation.budget import with_sources
 from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.descent import Minimum, SquareSum, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P, estimate_findings, goodness_findings
-from labpipe.estimation.measured import Measured, measured_part, select_ports
+from labpipe.estimation.measured import Measured, matrix_errors, measured_part, select_ports
 from labpipe.estimation.regression import triangle_of
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import Estimate, determination, inflation_factors
@@ -369,7 +370,11 @@ class _BlockProblem(SquareSum):
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         with np.errstate(all="ignore"):
-            left = self.weight * (self.matrix - self.block.response(parameters, self.omega))
+            return self.whiten(self.matrix - self.block.response(parameters, self.omega))
+
+    def whiten(self, change: ComplexArray) -> FloatArray:
+        """A *change* of the response (n_line,) [1] over its noise, real above imaginary parts (2 n_line,)."""
+        left = self.weight * change
         return np.concatenate([left.real, left.imag])
 
     def jacobian(self, parameters: FloatArray) -> FloatArray:
@@ -475,8 +480,17 @@ def _report(
     frequency = measured.omega / (2 * np.pi)
     assert measured.covariance is not None
     band = (float(frequency[0]), float(frequency[-1]))
+    fit = reported_fit(settings, as_estimate, tuple(v.parameter for v in valued), band, frequency.size)
+    outputs, inputs = measured.outputs, measured.inputs
+    # By one step of the fit, its weights as they were.
+    step = -slopes[:, None] * np.linalg.pinv(jacobian)
+    sources = [(of.uncertainty, step @ problem.whiten(of.change[:, 0, 0])) for of in matrix_errors(measured)]
     return replace(
-        reported_fit(settings, as_estimate, tuple(v.parameter for v in valued), band, frequency.size),
+        with_sources(fit, sources),
+        notes=(
+            *fit.notes,
+            f"block: the gain is that of {outputs[0].label} per {inputs[0].label}, in their SI units.",
+        ),
         findings=(
             *estimate_findings(as_estimate, names, frequency.size),
             *goodness_findings(gof),
@@ -488,8 +502,8 @@ def _report(
             measured.matrix,
             fitted,
             variance=measured.covariance[:, :1, :1].real,
-            outputs=tuple(port.label for port in measured.outputs),
-            inputs=tuple(port.label for port in measured.inputs),
+            outputs=tuple(port.label for port in outputs),
+            inputs=tuple(port.label for port in inputs),
             form=response.form,
         ),
     )

@@ -61,6 +61,26 @@ def values(fit: Fit) -> np.ndarray:
     return np.array([p.value for p in fit.parameters if not p.derived])
 
 
+@pytest.mark.parametrize("name", ["fx", "fy", "ax", "ay"])
+def test_the_channel_whose_sign_is_wrong_is_named(name: str) -> None:
+    """Forces and accelerations; a turned displacement leaves noise, and negative damping and mass."""
+    spectra = drawn()
+    turned = np.where([channel.name == name for channel in spectra.channels], -1.0, 1.0)
+    covariance = spectra.covariance * turned * turned[:, None]
+    fit = fitted(replace(spectra, vectors=spectra.vectors * turned, covariance=covariance), **GIVEN)
+    said = [f.message for f in fit.findings if f.code == "unphysical"]
+    assert said[0].startswith(f"channel {name} has the wrong sign: turned, it leaves 0.962 times the squares")
+
+
+def test_no_sign_is_wrong_where_all_are_right_or_the_form_is_not() -> None:
+    right = (
+        fitted(drawn(), **GIVEN),
+        fitted(drawn(replace(EVEN, bearing=pads, noise=0.003)), form="kc", **GIVEN),
+    )
+    assert right[1].gof.chi2_reduced > 1e3
+    assert not [f for fit in right for f in fit.findings if f.code == "unphysical"]
+
+
 @pytest.mark.parametrize("excitation", ["hadamard", "alternating", "zipper"])
 def test_the_truth_lies_within_the_intervals(excitation: str) -> None:
     """Twelve coefficients of a water seal on a shaft that moves: none beyond four standard errors, their

@@ -44,6 +44,7 @@ from labpipe.methods.live.sources import (
 )
 from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
+from labpipe.raw_files.table import open_table
 from labpipe.records.recording import Channel, Recording
 from labpipe.report.document import Document, Paragraph, Section
 from labpipe.spectra.measurement import measure
@@ -545,6 +546,19 @@ def test_frames_on_standard_input(piped):
     assert last["averages"] == 7
     low, high = last["parameters"]["s.k"]["ci95"]
     assert low < STIFFNESS < high
+
+
+def test_frames_keep_the_rate_of_their_header(bench, piped):
+    """Of a rig file without a rate the run at the end had none, and was refused."""
+    rig = (bench / "rig.yaml").read_text()
+    assert "sample_rate: 1 kHz\n" in rig
+    (bench / "rig.yaml").write_text(rig.replace("sample_rate: 1 kHz\n", ""))
+    head = b'{"sample_rate": 1000, "channels": ["y", "f"]}\n'
+    ran = piped(head + samples(8)[:, ::-1].astype("<f8").tobytes(), "-o", str(bench / "out"))
+    assert ran.code == 0 and not ran.err
+    assert open_table(bench / "out" / "recording.parquet").sample_rate == 1000
+    (fit,) = json.loads((bench / "out" / "identification.json").read_text())["fits"]
+    assert fit["parameters"][0]["ci95"][0] < STIFFNESS < fit["parameters"][0]["ci95"][1]
 
 
 def test_frames_of_a_channel_named_twice_are_refused(piped):

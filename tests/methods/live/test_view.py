@@ -74,10 +74,11 @@ def test_rows_begin_with_what_was_asked_for() -> None:
         ),
         ((replace(OPEN, goal=None),), False, "No goal is set."),
         ((replace(OPEN, goal=500.0),), True, ""),
+        ((), False, "It is too early to judge the goals."),
     ],
 )
 def test_where_the_test_stands(standings: tuple[Standing, ...], stop: bool, text: str) -> None:
-    session: Any = SimpleNamespace(what="hit")
+    session: Any = SimpleNamespace(what="hit", goals="No goal" not in text)
     said = headline(session, update(*standings, stop=stop))
     assert said == ("Enough: 5 hits, every goal is reached." if stop else f"5 hits. {text}")
 

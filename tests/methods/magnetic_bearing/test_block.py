@@ -17,6 +17,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.magnetic_bearing.settings import BlockSettings
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.uncertain import ChannelUncertainty, Uncertainty
 
 FREQUENCY = np.arange(20.0, 3000.0, 20.0)
 S = 2j * np.pi * FREQUENCY
@@ -54,6 +55,24 @@ def fitted(measured: FrequencyResponse, order: str = "auto", **keys: object) -> 
 def test_clean_responses_give_the_truth(order: int) -> None:
     found = {p.name: p.value for p in fitted(response(order), str(order)).parameters}
     assert found == pytest.approx(TRUE[order][0], rel=1e-5)
+
+
+def test_stated_numbers_of_channels_are_in_the_intervals() -> None:
+    """Gains of 0.3 and 0.4 % are 0.5 % of the gain, and none of the delay, to which 2 us adds itself."""
+    of = [Uncertainty("u", 0.003, "1"), Uncertainty("i", 0.004, "1"), Uncertainty("late", 2e-6, "s")]
+    ports = (
+        {"outputs": (Port("u", "u", "u", uncertainties=(ChannelUncertainty("gain", of[0]),)),)},
+        {"inputs": (Port("i", "i", "i", uncertainties=(ChannelUncertainty("gain", of[1]),)),)},
+        {"outputs": (Port("u", "u", "u", uncertainties=(ChannelUncertainty("delay", of[2]),)),)},
+    )
+    fit = fitted(replace(response(0, 0.01), **ports[0], **ports[1]), "0")
+    gain, delay = fit.parameter("gain"), fit.parameter("delay")
+    assert gain.systematic == pytest.approx(0.005 * abs(gain.value), rel=1e-3)
+    assert gain.expanded == pytest.approx(1.96 * np.hypot(gain.std_error, gain.systematic), rel=0.01)
+    assert delay.systematic == pytest.approx(0, abs=1e-3 * delay.std_error)
+    late = fitted(replace(response(0, 0.01), **ports[2]), "0").parameter("delay")
+    assert late.systematic == pytest.approx(2e-6, rel=1e-3) and late.std_error == delay.std_error
+    assert "block: the gain is that of u per i, in their SI units." in fit.notes
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
