@@ -418,9 +418,11 @@ def parts_of_single_forces(
             # Levels of every response would turn what all of them share.
             is_shared = common_share(noise, freedoms) > MOST_SHARED
             levels = np.ones(noise_power.shape[1:]) if is_shared else noise_levels(noise_power, freedoms)
-            size = np.sqrt(levels).T
-            pooled = pooled_residual(noise.sum(axis=1), response, half_width)
-            noise, freedoms = pooled[:, None] * (size[:, :, None] * size[:, None, :]), np.array(dof)
+            # As loud as each other before they are added: the sum would know no more than its loudest does.
+            size = np.sqrt(levels.T[:, :, None] * levels.T[:, None, :])
+            alike = np.divide(noise, size, out=np.zeros_like(noise), where=size > 0)
+            pooled = pooled_residual(alike.sum(axis=1), response, half_width)
+            noise, freedoms = pooled[:, None] * size, np.array(dof)
         elements = np.arange(response[0].size).reshape(-1, n_input).T
         covariance = BlockCovariance(elements, handed_over(noise / (power[:, :, None, None] * freedoms)))
     return replace(
