@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray, handed_over
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, handed_over
 from labpipe.errors import DataError
 from labpipe.records.response import BlockCovariance, FrequencyResponse, variance_of
 from labpipe.spectra.matrices import without_rounding
@@ -14,7 +14,7 @@ from labpipe.spectra.ports import Parts
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
-# Squared standard errors by which a second pole must move a line, in the mean over its elements.
+# Squared standard errors by which a second pole must move a line of a force, in the mean over the responses.
 NEEDED = 16.0
 # Elements of a matrix that are corrected together.
 ELEMENTS = 16
@@ -220,12 +220,11 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
     """The parts less the damping that a window exp(-t / *decay*) [s] added, with their covariance;
     *correlation* (n_distance,) [1] of the noise of lines under it.
     """
-    of_lines = without_added_damping(parts.frequency, parts.matrix, decay)
-    two_poles = without_added_damping(parts.frequency, parts.matrix, decay, 2)
-    between = correlation_matrix(np.arange(of_lines.gains.shape[1]), correlation)
-    if _needs_second_pole(parts, of_lines, two_poles, between):
-        of_lines = two_poles
-    gains = of_lines.gains
+    one, two = (without_added_damping(parts.frequency, parts.matrix, decay, poles) for poles in (1, 2))
+    between = correlation_matrix(np.arange(one.gains.shape[1]), correlation)
+    needed = _needs_second_pole(parts, one, two, between)
+    matrix: ComplexArray = np.where(needed, two.matrix, one.matrix)
+    gains: ComplexArray = np.where(needed, two.gains, one.gains)
     covariance = parts.covariance
     if isinstance(covariance, np.ndarray):
         covariance = covariance_without_damping(gains, covariance, correlation)
@@ -240,10 +239,10 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
     size = np.sqrt(_noise_power(gains, between))
     return replace(
         parts,
-        matrix=of_lines.matrix,
+        matrix=matrix,
         covariance=covariance,
         line_correlation=tuple(complex(c) for c in correlation),
-        line_gains=gains / np.where(size > 0, size, 1.0)[:, None],
+        line_gains=np.asarray(gains / np.where(size > 0, size, 1.0)[:, None]),
     )
 
 
@@ -253,14 +252,14 @@ def _noise_power(gains: ComplexArray, between: ComplexArray) -> FloatArray:
     return power
 
 
-def _needs_second_pole(parts: Parts, one: Undamped, two: Undamped, between: ComplexArray) -> bool:
-    """Whether a second pole moves a line by more than its noise: where nothing needs it, it adds noise. True
-    where the noise is not known.
+def _needs_second_pole(parts: Parts, one: Undamped, two: Undamped, between: ComplexArray) -> BoolArray:
+    """Of every force (n_input,) whether a second pole moves a line by more than its noise: where nothing
+    needs it, it adds noise. True where the noise is not known.
     """
     variance = variance_of(parts.covariance)
     if variance is None:
-        return True
+        return np.ones(parts.matrix.shape[2], bool)
     noise = _noise_power(two.gains - one.gains, between) * variance.reshape(one.matrix.shape)
     moved = np.abs(two.matrix - one.matrix) ** 2
     squares = np.divide(moved, noise, out=np.zeros_like(noise), where=noise > 0)
-    return bool(np.any(squares.mean(axis=(1, 2)) > NEEDED))
+    return np.asarray(np.any(squares.mean(axis=1) > NEEDED, axis=0))
