@@ -142,12 +142,12 @@ def pooled_by_force(
     """The residual's spectrum where each force acts alone (n_line, n_input, n_output, n_output) [unit^2/Hz],
     from *noise* of that shape, sums of *freedoms* (n_input,) complex degrees of freedom each: averaged over
     the forces and over *half_width* lines to either side, relative to the level of noise in a force's
-    recordings (not where it *shares* noise among responses: levels of each would turn it) and to a + b
-    |H_oi|^2 of that force alone: a point at a node has little of what grows with the response. Equation
+    recordings and to a + b |H_oi|^2 of that force alone: a point at a node has little of what grows with the
+    response. Not where it *shares* noise among responses, which the levels of each would turn. Equation
     (frf-pooled-force).
     """
     shape: FloatArray = np.ones(noise.shape[:3])
-    if half_width or noise.shape[1] > 1:
+    if half_width or (noise.shape[1] > 1 and not shares):
         residual = np.einsum("lioo->lo", noise).real
         of_line = (2 * half_width + 1) / ENOUGH_DOF if half_width else 1 / freedoms.sum()
         shape = _force_shapes(residual, response, freedoms, of_line)
