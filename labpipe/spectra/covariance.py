@@ -136,6 +136,47 @@ def pooled_residual(residual: ComplexArray, response: ComplexArray, half_width: 
     return mean
 
 
+def pooled_by_force(
+    noise: ComplexArray, response: ComplexArray, freedoms: FloatArray, half_width: int, shares: bool
+) -> ComplexArray:
+    """The residual's spectrum where each force acts alone (n_line, n_input, n_output, n_output) [unit^2/Hz],
+    from *noise* of that shape, sums of *freedoms* (n_input,) complex degrees of freedom each: averaged over
+    the forces and over *half_width* lines to either side, relative to the level of noise in a force's
+    recordings and to a + b |H_oi|^2 of that force alone: a point at a node has little of what grows with the
+    response. Not where it *shares* noise among responses, which the levels of each would turn. Equation
+    (frf-pooled-force).
+    """
+    shape: FloatArray = np.ones(noise.shape[:3])
+    if half_width or (noise.shape[1] > 1 and not shares):
+        residual = np.einsum("lioo->lo", noise).real
+        of_line = (2 * half_width + 1) / ENOUGH_DOF if half_width else 1 / freedoms.sum()
+        shape = _force_shapes(residual, response, freedoms, of_line)
+    if not shares:
+        power = np.einsum("lioo->lio", noise).real / shape
+        shape = shape * noise_levels(power.swapaxes(1, 2), freedoms).T
+    # As loud as each other before they are added: the sum would know no more than its loudest part does.
+    size = np.sqrt(shape[..., :, None] * shape[..., None, :])
+    alike = np.divide(noise, size, out=np.zeros_like(noise), where=size > 0).sum(axis=1)
+    if half_width:
+        alike = neighbourhood_mean(alike, np.ones(len(alike), bool), half_width)
+    return np.asarray(alike[:, None] * (size / freedoms.sum()))
+
+
+def _force_shapes(
+    residual: FloatArray, response: ComplexArray, freedoms: FloatArray, of_line: float
+) -> FloatArray:
+    """a + b |H_oi|^2 (n_line, n_input, n_output) [1] where each force acts alone, a and b of every output's
+    *residual* (n_line, n_output) over all of them; 1 where b is not SIGNIFICANT. Arguments as in noise_shape
+    and pooled_by_force.
+    """
+    powers, shapes = _power(response), []
+    for variance, power in zip(residual.T, powers.swapaxes(0, 1), strict=True):
+        mean = power @ (freedoms / freedoms.sum())
+        constant, slope = _shape(variance, mean, of_line)
+        shapes.append(np.maximum(constant + slope * power, np.finfo(float).eps))
+    return np.stack(shapes, axis=2)
+
+
 def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
     """Noise of the responses where each force acts over that of all (n_output, n_input) [1], the mean over
     the lines; 1 where they are alike within the errors of such means. *residual* (n_line, n_output, n_input)
@@ -164,7 +205,7 @@ def covariance_of_parts(noise: ComplexArray, spread: ComplexArray, levels: Float
 
 
 def _power(response: ComplexArray) -> FloatArray:
-    """sum_i |H_oi|^2 (n_line, n_output) [unit^2/N^2] of H (n_line, n_output, n_input), each 1 / H by the
+    """|H_oi|^2 (n_line, n_output, n_input) [unit^2/N^2] of H of that shape [unit/N], each 1 / H by the
     parabola through its two neighbours on either side: smooth at a resonance, however narrow, and without
     the noise of the line itself, which would tilt the weights that follow. Not far from the line's own, as
     it is where H is noise and 1 / H may vanish between the lines.
@@ -176,7 +217,7 @@ def _power(response: ComplexArray) -> FloatArray:
         between = np.abs(4 * (padded[1:-3] + padded[3:-1]) - padded[:-4] - padded[4:]) ** 2 / 36
         between = np.divide(1.0, between, out=np.full_like(size, np.inf), where=between > 0)
         size = np.clip(between, size / MOST_APART, size * MOST_APART)
-    return np.asarray(size.sum(axis=2))
+    return np.asarray(size)
 
 
 def noise_shape(
@@ -188,8 +229,9 @@ def noise_shape(
     wander at low frequencies follows no resonance.
     """
     shapes = []
-    for one, power in zip(variance.T, _power(response).T, strict=True):
-        shape = _shape(one, power, of_line)
+    for one, power in zip(variance.T, _power(response).sum(axis=2).T, strict=True):
+        constant, slope = _shape(one, power, of_line)
+        shape = np.maximum(constant + slope * power, np.finfo(float).eps)
         better = half_width == 0 or _gain(one, shape, half_width) > BETTER * of_line
         shapes.append(shape if better else np.ones_like(shape))
     return np.column_stack(shapes)
@@ -205,10 +247,14 @@ def _gain(variance: FloatArray, shape: FloatArray, half_width: int) -> float:
     return float(np.sum(np.log(plain / sharp) + variance * (1 / plain - 1 / sharp)))
 
 
-def _shape(variance: FloatArray, power: FloatArray, of_line: float) -> FloatArray:
+def _shape(variance: FloatArray, power: FloatArray, of_line: float) -> tuple[float, float]:
+    """a [1] and b [over the unit of the power] of a *variance* (n_line,) [any unit] that goes as a + b
+    *power* (n_line,), least squares relative to itself; 1 and 0 where b is not SIGNIFICANT.
+    """
     shape = np.ones_like(variance)
     # A silent response has no power.
-    columns = np.column_stack([shape, power / (np.max(power) or 1.0)])
+    largest = float(np.max(power)) or 1.0
+    columns = np.column_stack([shape, power / largest])
     variance = np.maximum(variance, np.finfo(float).eps * np.max(variance))
     variance = variance / np.max(variance) if np.max(variance) > 0 else shape
     for _ in range(REWEIGHTED):
@@ -216,7 +262,9 @@ def _shape(variance: FloatArray, power: FloatArray, of_line: float) -> FloatArra
         values = scipy.optimize.nnls(weighted, variance / shape)[0]
         shape = np.maximum(columns @ values, np.finfo(float).eps)
     covariance = np.linalg.pinv(weighted.T @ weighted) * of_line
-    return shape if values[1] > SIGNIFICANT * np.sqrt(covariance[1, 1]) else np.ones_like(variance)
+    if values[1] <= SIGNIFICANT * np.sqrt(covariance[1, 1]):
+        return 1.0, 0.0
+    return float(values[0]), float(values[1]) / largest
 
 
 def joined_response(mean: ComplexArray, inverse: ComplexArray, noise: ComplexArray | None) -> ComplexArray:

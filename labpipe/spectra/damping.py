@@ -6,14 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray, handed_over
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, handed_over
 from labpipe.errors import DataError
-from labpipe.records.response import BlockCovariance, FrequencyResponse
+from labpipe.records.response import BlockCovariance, FrequencyResponse, variance_of
 from labpipe.spectra.matrices import without_rounding
 from labpipe.spectra.ports import Parts
 
 # Half width of the local rational fit [lines].
 HALF_WIDTH = 4
+# Squared standard errors by which a second pole must move a line of a force, in the mean over the responses.
+NEEDED = 16.0
 # Elements of a matrix that are corrected together.
 ELEMENTS = 16
 # Relative differences of the spacing of lines, which files print with six digits.
@@ -31,13 +33,15 @@ class Undamped:
     gains: ComplexArray
 
 
-def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: float) -> Undamped:
+def without_added_damping(
+    frequency: FloatArray, matrix: ComplexArray, decay: float, poles: int = 1
+) -> Undamped:
     """H(j w) from the windowed H(j w + s) = *matrix*, s = 1/decay, (n_frequency, n_output, n_input) [unit of
     H]. frequency (n_frequency,) [Hz] evenly spaced, *decay* [s]. Around every line H is approximated by (a0 +
-    a1 x + a2 x^2) / (1 + b1 x), x = j (w' - w) / dw, on 4 lines to either side (local rational method:
-    McKelvey and Guerin 2012), and evaluated at x = -s/dw. A single mode is exact. Fewer than 5 lines are
-    returned unchanged. The gains are the first-order effect of an error on the solution a0 ... b1. Equation
-    (frf-undamped).
+    a1 x + a2 x^2) / (1 + b1 x + b2 x^2), x = j (w' - w) / dw, on 4 lines to either side (local rational
+    method: McKelvey and Guerin 2012), and evaluated at x = -s/dw, with b2 = 0 of one of the *poles*. As many
+    modes are exact, however close. Fewer than 5 lines are returned unchanged. The gains are the first-order
+    effect of an error on the solution a0 ... b2. Equation (frf-undamped).
     """
     n_line = frequency.size
     if n_line <= HALF_WIDTH:
@@ -52,7 +56,7 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
     flat = matrix.reshape(n_line, -1)
     # A few elements at a time: each takes some hundred numbers per line.
     both = [
-        _evaluate(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing))
+        _evaluate(flat[:, start : start + ELEMENTS], lines, x, -1 / (decay * spacing), poles)
         for start in range(0, flat.shape[1], ELEMENTS)
     ]
     values, gains = (np.concatenate(parts, axis=-1) for parts in zip(*both, strict=True))
@@ -62,23 +66,24 @@ def without_added_damping(frequency: FloatArray, matrix: ComplexArray, decay: fl
 
 
 def _evaluate(
-    flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float
+    flat: ComplexArray, lines: IntArray, x: ComplexArray, shift: float, poles: int
 ) -> tuple[ComplexArray, ComplexArray]:
     size = np.max(np.abs(flat), axis=0)
     neighbours = flat[lines] / np.where(size > 0, size, 1.0)
     powers = np.broadcast_to(x[:, :, None, None] ** np.arange(3), (*neighbours.shape, 3))
-    equations = np.concatenate([powers, -(x[:, :, None] * neighbours)[:, :, :, None]], axis=3).swapaxes(1, 2)
+    of_poles = x[:, :, None, None] ** np.arange(1, 1 + poles)
+    equations = np.concatenate([powers, -of_poles * neighbours[:, :, :, None]], axis=3).swapaxes(1, 2)
     # Minimum-norm solution where the equations are rank deficient: a constant H has no pole.
     inverse = np.linalg.pinv(equations, rcond=1e-9)
     solution = np.einsum("fekl,fel->fek", inverse, neighbours.swapaxes(1, 2))
-    denominator = 1 + solution[:, :, 3] * shift
-    value = (solution[:, :, 0] + solution[:, :, 1] * shift + solution[:, :, 2] * shift**2) / denominator
-    # An error dH of a neighbour changes the right side of its equation by (1 + b1 x) dH.
-    slopes = np.stack(
-        [np.ones_like(value), shift * np.ones_like(value), shift**2 * np.ones_like(value), -shift * value],
-        axis=2,
+    of_shift = shift ** np.arange(3.0), shift ** np.arange(1.0, 1 + poles)
+    denominator = 1 + solution[:, :, 3:] @ of_shift[1]
+    value = solution[:, :, :3] @ of_shift[0] / denominator
+    # An error dH of a neighbour changes the right side of its equation by (1 + b1 x + b2 x^2) dH.
+    slopes = np.concatenate(
+        [np.broadcast_to(of_shift[0], (*value.shape, 3)), -value[:, :, None] * of_shift[1]], axis=2
     )
-    errors = 1 + x[:, :, None] * solution[:, None, :, 3]
+    errors = 1 + np.einsum("fep,fkqp->fke", solution[:, :, 3:], of_poles)
     gains = np.einsum("fek,fekl->fle", slopes / denominator[:, :, None], inverse) * errors
     return value * np.where(size > 0, size, 1.0), gains
 
@@ -92,7 +97,7 @@ def remove_window_damping(response: FrequencyResponse, decay: float) -> Frequenc
     if spacing.size and np.ptp(spacing) > EVEN * spacing.mean():
         what = "the lines are not evenly spaced, so that a window cannot be taken out"
         raise DataError(what, hint="leave out windowed")
-    matrix = without_added_damping(response.frequency, response.matrix, decay).matrix
+    matrix = without_added_damping(response.frequency, response.matrix, decay, 2).matrix
     return replace(response, matrix=matrix, covariance=None, line_correlation=(), line_gains=None)
 
 
@@ -215,8 +220,11 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
     """The parts less the damping that a window exp(-t / *decay*) [s] added, with their covariance;
     *correlation* (n_distance,) [1] of the noise of lines under it.
     """
-    of_lines = without_added_damping(parts.frequency, parts.matrix, decay)
-    gains = of_lines.gains
+    one, two = (without_added_damping(parts.frequency, parts.matrix, decay, poles) for poles in (1, 2))
+    between = correlation_matrix(np.arange(one.gains.shape[1]), correlation)
+    needed = _needs_second_pole(parts, one, two, between)
+    matrix: ComplexArray = np.where(needed, two.matrix, one.matrix)
+    gains: ComplexArray = np.where(needed, two.gains, one.gains)
     covariance = parts.covariance
     if isinstance(covariance, np.ndarray):
         covariance = covariance_without_damping(gains, covariance, correlation)
@@ -228,12 +236,30 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
                 by_element[:, :, elements], covariance.blocks[:, number], correlation
             )
         covariance = BlockCovariance(covariance.elements, handed_over(blocks))
-    between = correlation_matrix(np.arange(gains.shape[1]), correlation)
-    size = np.sqrt(np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real)
+    size = np.sqrt(_noise_power(gains, between))
     return replace(
         parts,
-        matrix=of_lines.matrix,
+        matrix=matrix,
         covariance=covariance,
         line_correlation=tuple(complex(c) for c in correlation),
-        line_gains=gains / np.where(size > 0, size, 1.0)[:, None],
+        line_gains=np.asarray(gains / np.where(size > 0, size, 1.0)[:, None]),
     )
+
+
+def _noise_power(gains: ComplexArray, between: ComplexArray) -> FloatArray:
+    """sum_ij g_i r(i - j) g_j* (n_frequency, n_output, n_input) [1] of gains as in Undamped."""
+    power: FloatArray = np.einsum("fioa,ij,fjoa->foa", gains, between, gains.conj()).real
+    return power
+
+
+def _needs_second_pole(parts: Parts, one: Undamped, two: Undamped, between: ComplexArray) -> BoolArray:
+    """Of every force (n_input,) whether a second pole moves a line by more than its noise: where nothing
+    needs it, it adds noise. True where the noise is not known.
+    """
+    variance = variance_of(parts.covariance)
+    if variance is None:
+        return np.ones(parts.matrix.shape[2], bool)
+    noise = _noise_power(two.gains - one.gains, between) * variance.reshape(one.matrix.shape)
+    moved = np.abs(two.matrix - one.matrix) ** 2
+    squares = np.divide(moved, noise, out=np.zeros_like(noise), where=noise > 0)
+    return np.asarray(np.any(squares.mean(axis=1) > NEEDED, axis=0))

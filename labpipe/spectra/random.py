@@ -28,7 +28,7 @@ from labpipe.spectra.covariance import (
     covariance_of_h1,
     covariance_of_random,
     noise_levels,
-    pooled_residual,
+    pooled_by_force,
     residual_spectrum,
 )
 from labpipe.spectra.local import local_parts
@@ -414,13 +414,9 @@ def parts_of_single_forces(
             dof = float(np.sum(freedoms / of_weights) / np.sum(1 / of_weights))
             freedoms = freedoms[:, None, None]
         else:
-            noise_power = np.einsum("lioo->loi", noise).real
             # Levels of every response would turn what all of them share.
             is_shared = common_share(noise, freedoms) > MOST_SHARED
-            levels = np.ones(noise_power.shape[1:]) if is_shared else noise_levels(noise_power, freedoms)
-            size = np.sqrt(levels).T
-            pooled = pooled_residual(noise.sum(axis=1), response, half_width)
-            noise, freedoms = pooled[:, None] * (size[:, :, None] * size[:, None, :]), np.array(dof)
+            noise, freedoms = pooled_by_force(noise, response, freedoms, half_width, is_shared), np.ones(1)
         elements = np.arange(response[0].size).reshape(-1, n_input).T
         covariance = BlockCovariance(elements, handed_over(noise / (power[:, :, None, None] * freedoms)))
     return replace(

@@ -543,3 +543,19 @@ def test_pulses_of_a_tacho_are_no_overload(rng) -> None:
     np.testing.assert_allclose(
         measure([turning], settings).matrix, measure([taps], settings).matrix, rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("apart", [1.0, 2.0, 4.0])
+def test_an_exponential_window_is_taken_out_of_two_modes_that_share_their_lines(apart: float) -> None:
+    """The sum of two discrete modes, by closed form. One pole left 30 to 70 % of the peak."""
+    poles = (POLE, 1.3 * POLE.real + 1j * (POLE.imag + 2 * np.pi * apart))
+    rng, force = np.random.default_rng(1), half_sine(LENGTH, STARTS, [1.0] * 5)
+    one, other = (hammered(rng, force, pole) for pole in poles)
+    samples = one.samples.copy()
+    samples[:, 1] += other.samples[:, 1]
+    settings = FrfSettings(
+        "impact", block=BLOCK, band=(20.0, 150.0), impact=ImpactSettings(decay=BLOCK / np.log(100))
+    )
+    response = measure([replace(one, samples=samples)], settings)
+    expected = sum(truth(response.frequency, pole) for pole in poles)
+    np.testing.assert_allclose(response.matrix[:, 0, 0], expected, atol=0.01 * np.abs(expected).max())

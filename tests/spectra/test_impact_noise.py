@@ -7,8 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.covariance import pooled_residual
 from labpipe.spectra.damping import correlation_matrix, covariance_without_damping, without_added_damping
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.windows import exponential_correlation, exponential_window
 
 
@@ -105,3 +108,56 @@ def test_a_residual_as_large_as_the_response_is_not_smeared() -> None:
     peak = (1 / (1 + 1j * (np.arange(400) - 200.0) / 3))[:, None, None]
     both = 0.1 + np.abs(peak) ** 2
     np.testing.assert_allclose(pooled_residual(both.astype(np.complex128), peak, 10), both, rtol=1e-6)
+
+
+def test_a_loud_recording_does_not_hide_how_well_the_noise_is_known(rng: np.random.Generator) -> None:
+    """Two forces, the recordings of one six times as noisy. With a covariance of nu degrees of freedom the
+    whitened error of n responses is nu / (nu - n) in the mean (complex Wishart; Goodman 1963).
+    """
+    n, n_hit, outputs = 512, 5, 6
+    recordings = []
+    for place, size in (("a", 0.01), ("b", 0.06)):
+        force = np.zeros(n * n_hit)
+        force[20::n] = 1.0
+        motion = force[:, None] + size * rng.normal(size=(force.size, outputs))
+        channels = (
+            Channel("f", "force", "input", place),
+            *(Channel(f"x{k}", "displacement", "output", f"p{k}") for k in range(outputs)),
+        )
+        recordings.append(Recording(channels, np.column_stack([force, motion]), 512.0, place))
+    response = measure(recordings, FrfSettings("impact", block=1.0, band=(2.0, 250.0)))
+    errors = (response.matrix - 1.0).reshape(-1, 2 * outputs)
+    covariance = response.covariance
+    assert covariance is not None
+    squares = np.einsum("fa,fab,fb->f", errors.conj(), np.linalg.inv(covariance), errors).real
+    dof = response.covariance_dof
+    assert squares.mean() / (2 * outputs) == pytest.approx(dof / (dof - outputs), rel=0.05)
+
+
+def test_noise_of_the_force_is_that_of_each_points_own_response(rng: np.random.Generator) -> None:
+    """A mode struck at its largest point and near its node, with noise of the hammer: dH = -H N / F, so that
+    both columns are known to the same share at the peak, and errors over their variance are nu / (nu - 1).
+    """
+    n, n_hit = 2048, 9
+    frequency = np.arange(n // 2 + 1.0)
+    mode = 1 / (60.0**2 - frequency**2 + 2j * 0.05 * 60.0 * frequency) * 360.0
+    at_peak = slice(57 - 2, 64 - 2)
+    squares = []
+    for _ in range(12):
+        recordings = []
+        for place, size in (("a", 1.0), ("b", 0.05)):
+            force = np.zeros(n)
+            force[40:43] = 1.0, 2.0, 1.0
+            motion = np.fft.irfft(size * mode * np.fft.rfft(force), n)
+            samples = np.tile(np.column_stack([force, motion]), (n_hit, 1))
+            samples += np.array([5e-3, 2e-4]) * rng.normal(size=samples.shape)
+            channels = Channel("f", "force", "input", place), Channel("x", "displacement", "output", "p")
+            recordings.append(Recording(channels, samples, float(n), place))
+        response = measure(recordings, FrfSettings("impact", block=1.0, band=(2.0, 200.0)))
+        errors = (response.matrix[:, 0] - mode[2:201, None] * np.array([1.0, 0.05]))[at_peak]
+        variance = response.variance
+        assert variance is not None
+        squares.append(np.abs(errors) ** 2 / variance[at_peak, 0])
+    dof = response.covariance_dof
+    # 12 draws of seven lines: 11 %.
+    assert np.mean(squares, axis=(0, 1)) == pytest.approx([dof / (dof - 1)] * 2, rel=0.3)

@@ -19,13 +19,14 @@ from tests.conftest import Command
 from tests.spectra.roving import DAMPING, FREQUENCIES, hits, write_pipeline
 
 
-def twice(recordings: list[Recording], rng: np.random.Generator) -> list[Recording]:
-    """Every point hit twice: the second time with other noise."""
+def twice(recordings: list[Recording], rng: np.random.Generator, noise: float = 1.0) -> list[Recording]:
+    """Every point hit twice: the second time with other noise, *noise* times usual."""
     both = []
     for first in recordings:
         again = (
             first.samples
-            + rng.normal(0, 1, first.samples.shape)
+            + noise
+            * rng.normal(0, 1, first.samples.shape)
             * np.r_[0.05, 4e-3 * np.abs(first.samples[:, 1:]).max(axis=0)]
         )
         # The block of a hit begins shortly before it, so that of the last ends beyond its samples.
@@ -44,9 +45,10 @@ def settings(n_sample: int, decay: float | None = None) -> FrfSettings:
 @pytest.mark.parametrize("decay", [None, 0.1])
 def test_columns_are_those_of_their_hits_alone(decay: float | None, rng: np.random.Generator) -> None:
     """H and, with the noise of all hits and as many degrees of freedom, the covariance of a column are those
-    of its recording.
+    of its recording. Of little noise, so that every column has two poles under the window, as one whose
+    noise is not known.
     """
-    recordings = twice(hits(4, 2, 1024), rng)
+    recordings = twice(hits(4, 2, 1024, noise=0.02), rng, 0.02)
     together = measure(recordings, settings(1024, decay))
     assert isinstance(together.stored_covariance, BlockCovariance)
     for column, recording in enumerate(recordings):

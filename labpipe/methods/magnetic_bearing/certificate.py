@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -241,7 +241,7 @@ def certificate(
         statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
-        findings=_findings(worst, model),
+        findings=(*_leaking(loops, peaks), *_findings(worst, model)),
         budgets=tuple(filter(None, budgets)),
         undecided=tuple(unsure),
     )
@@ -414,6 +414,13 @@ def _curves(
         for quantity, part in ((f"{label} real", transfer.real), (f"{label} imaginary", transfer.imag)):
             curves.append(sensitivity.curve_of("", quantity, "1", frequency=frequency, measured=part))
     return tuple(curves)
+
+
+def _leaking(
+    loops: Sequence[sensitivity.MeasuredSensitivity], peaks: Sequence[sensitivity.Peak]
+) -> Iterator[Finding]:
+    for loop, peak in zip(loops, peaks, strict=True):
+        yield from sensitivity.leakage_findings(loop, peak)
 
 
 def _findings(worst: sensitivity.Peak, model: FittedBearing | None) -> tuple[Finding, ...]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile, student_quantile
-from labpipe.errors import ConfigError, FitError
+from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.estimation.diagnostics import ENOUGH_LINES, rounded_up
 from labpipe.estimation.measured import Measured, chosen_ports, select_ports
 from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
@@ -28,6 +29,7 @@ from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Budget, MatrixError, Uncertainty
+from labpipe.spectra.damping import half_power
 from labpipe.uncertainty.amounts import with_budget, with_error
 from labpipe.uncertainty.settings import CompareSettings
 
@@ -36,6 +38,8 @@ COMPLEX_PARTS = 2
 ROUNDING = 1e-15
 # Ratio of predicted to measured S (1 - S) up to which a change is scaled by it: beyond is noise about zero.
 MOST_SCALED = 2.0
+# Half-power width of a Hann window [lines].
+OF_WINDOW = 1.44
 
 
 @dataclass(frozen=True)
@@ -182,6 +186,31 @@ def peak_of(measured: MeasuredSensitivity) -> Peak:
     return Peak(value, spread, place / turn, False, moved, wide / turn if wide > 0 else None, shifted / turn)
 
 
+def leakage_findings(measured: MeasuredSensitivity, peak: Peak) -> list[Finding]:
+    """A warning where blocks of random data make the peak of |S| lower by more than its standard error: the
+    mean over the window's spectrum is lower by up to (1.44 / W)^2 of a peak W lines wide (half power).
+    """
+    blocks = measured.response.blocks
+    if blocks is None or blocks.degree or peak.at_edge:
+        return []
+    try:
+        around = half_power(measured.frequency, measured.values, (0.9 * peak.frequency, 1.1 * peak.frequency))
+    except DataError:
+        return []
+    width = around.high - around.low
+    lines = blocks.length * width
+    lower, known = (OF_WINDOW / lines) ** 2, peak.error / peak.value
+    if lower < known:
+        return []
+    what = (
+        f"the peak of the sensitivity at {peak.frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
+        f"{lines:.2g} lines of blocks of {blocks.length:.3g} s: they make it lower, and margins beside it "
+        f"larger, by up to {100 * lower:.2g} %, which no standard error shows; use blocks of at least "
+        f"{rounded_up(max(2 * OF_WINDOW / known**0.5, ENOUGH_LINES) / width):g} s, or periodic excitation"
+    )
+    return [Finding("leakage", what)]
+
+
 def loop_sensitivity(
     settings: CompareSettings, response: FrequencyResponse, file: MagneticFile | None
 ) -> Comparison:
@@ -214,7 +243,7 @@ def loop_sensitivity(
         statement=_statement(peak, measured_amounts[0], zone, predicted, theory),
         curves=(_curve(measured, predicted, theory),),
         correlations=() if theory is None else theory[1].correlations,
-        findings=_findings(peak, zone, theory),
+        findings=(*leakage_findings(measured, peak), *_findings(peak, zone, theory)),
         budgets=tuple(filter(None, budgets)),
     )
 
@@ -332,6 +361,7 @@ def response_per_injection(spectra: ChannelSpectra) -> FrequencyResponse:
         form="other",
         covariance=_covariance(spectra, (outputs, inputs), matrix, inverse),
         covariance_dof=spectra.covariance_dof,
+        blocks=spectra.blocks,
         line_correlation=spectra.line_correlation,
         errors=_errors(spectra, (outputs, inputs), matrix, inverse),
         name=spectra.name,

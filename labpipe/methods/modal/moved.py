@@ -33,6 +33,8 @@ LIKE, BROADER = 0.9, 10.0
 HARDLY, SHOWS = 0.1, 0.3
 # Squares over those of noise, as its differences from line to line show it, up to which two poles leave none.
 AS_NOISE = 1.3
+# Largest |ln| of the damping of a pole over that it starts with, far beyond any that is kept.
+MOST_MOVED = 8.0
 # Points disagree on a mode below this chance.
 DISAGREE = 1e-3
 PAIR = "a pair, or one mode that moves from point to point: one reference cannot tell"
@@ -270,7 +272,9 @@ def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexAr
         scale = 2 * s.size / frfs.shape[1]
         return scale * float(np.sum(np.log(squares))), scale * slopes
 
-    best = scipy.optimize.minimize(cost, np.zeros(2 * start.size), jac=True, method="L-BFGS-B")
+    # A first step too long would leave no number.
+    bounds = [(-MOST_MOVED, MOST_MOVED)] * start.size + [(None, None)] * start.size
+    best = scipy.optimize.minimize(cost, np.zeros(2 * start.size), jac=True, method="L-BFGS-B", bounds=bounds)
     return poles(best.x)
 
 

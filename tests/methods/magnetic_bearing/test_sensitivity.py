@@ -17,7 +17,7 @@ from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.sensitivity import loop_sensitivity, measured_sensitivity, peak_of
 from labpipe.methods.magnetic_bearing.stability import sensitivity
 from labpipe.records.comparison import Comparison
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure
 from labpipe.uncertainty.compare import Evidence, compare
@@ -200,3 +200,26 @@ def test_a_wrong_loop_is_exposed(rng: np.random.Generator) -> None:
 def test_unknowns_need_a_loop() -> None:
     with pytest.raises(ConfigError, match="'estimate' has no loop"):
         replace(ASKED, estimate=("gap",))
+
+
+@pytest.mark.parametrize(("lines", "leaks"), [(4.0, True), (40.0, False)])
+def test_blocks_that_are_short_for_the_peak_are_said(
+    lines: float, leaks: bool, rng: np.random.Generator
+) -> None:
+    """By how much the peak comes out low, by the mean over the spectrum of a Hann window on a fine grid."""
+    true = sensitivity(FILE.suspension(), 2 * np.pi * FINE)
+    above = FINE[np.abs(true) > TRUE_PEAK / np.sqrt(2)]
+    spacing = float(np.ptp(above)) / lines
+    random = replace(response(rng, 0.02), blocks=Blocks(1 / spacing, "hann", 0.5, 100, "H1"))
+    findings = loop_sensitivity(ASKED, random, None).findings
+    messages = [finding.message for finding in findings if finding.code == "leakage"]
+    assert len(messages) == leaks
+    assert not [f for f in loop_sensitivity(ASKED, response(rng), None).findings if f.code == "leakage"]
+    if leaks:
+        x = np.arange(-6.0, 6.0, 0.01)
+        kernel = (np.sinc(x) + (np.sinc(x - 1) + np.sinc(x + 1)) / 2) ** 2
+        at = FINE[np.argmax(np.abs(true))] + x * spacing
+        mean = np.sum(kernel * sensitivity(FILE.suspension(), 2 * np.pi * at)) / kernel.sum()
+        low = 100 * (1 - abs(mean) / TRUE_PEAK)
+        # That of a peak that stands on nothing; here it stands on S = 1.
+        assert low < float(messages[0].partition("by up to ")[2].partition(" %")[0]) < 2 * low
