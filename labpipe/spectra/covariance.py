@@ -177,6 +177,17 @@ def _force_shapes(
     return np.stack(shapes, axis=2)
 
 
+def lines_around(dof: float, shared: float, n_line: int) -> tuple[int, float]:
+    """Lines to either side over which noise of *dof* complex degrees of freedom is averaged where it has less
+    than ENOUGH_DOF, and the degrees of freedom of the mean. *shared*: lines that share one value of it; 0:
+    averages of no lines.
+    """
+    if shared == 0:
+        return 0, dof
+    half_width = int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0
+    return half_width, dof * max(1.0, min(2 * half_width + 1, n_line) / shared)
+
+
 def noise_levels(residual: FloatArray, dof: FloatArray) -> FloatArray:
     """Noise of the responses where each force acts over that of all (n_output, n_input) [1], the mean over
     the lines; 1 where they are alike within the errors of such means. *residual* (n_line, n_output, n_input)

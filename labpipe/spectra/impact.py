@@ -18,7 +18,7 @@ from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra import damping, windows
 from labpipe.spectra.bands import block_samples, line_range
 from labpipe.spectra.channels import READ_SAMPLES, checked_blocks, columns_of
-from labpipe.spectra.covariance import ENOUGH_DOF, correct_covariance
+from labpipe.spectra.covariance import correct_covariance
 from labpipe.spectra.ports import Layout, Parts, left_out, parts_at_lines, select_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
@@ -276,18 +276,14 @@ def _with_window_noise(
 def _average(averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:
     """The FRF at all lines of the averages, with its noise averaged over lines where hits are few."""
     spectra = [average.spectra() for average in averages]
-    # Lines to either side that the noise is averaged over, and how many share one value of it.
-    correlation = averages[0].line_correlation()
-    dof, shared = sum(s.averages for s in spectra) - len(layout.inputs), 1 + 2 * sum(abs(correlation) ** 2)
-    half_width = int(np.ceil((ENOUGH_DOF * shared / dof - 1) / 2)) if 0 < dof < ENOUGH_DOF else 0
+    shared = float(1 + 2 * sum(abs(averages[0].line_correlation()) ** 2))
     # The correction for the window's damping needs all neighbouring lines, so band and excluded bands are
     # chosen afterwards.
-    parts = parts_of_spectra(spectra, replace(settings, band=None, exclude=()), layout, half_width)
-    dof = parts.dof * max(1.0, min(2 * half_width + 1, parts.frequency.size) / shared)
+    parts = parts_of_spectra(spectra, replace(settings, band=None, exclude=()), layout, shared)
     covariance = parts.covariance
     if isinstance(covariance, FactoredCovariance):
         covariance = covariance.whole()
-    return replace(parts, dof=dof, covariance=covariance)
+    return replace(parts, covariance=covariance)
 
 
 def _on_lines(parts: Parts, averages: Sequence[_HitAverage], settings: FrfSettings, layout: Layout) -> Parts:

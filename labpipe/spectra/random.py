@@ -27,8 +27,11 @@ from labpipe.spectra.channels import checked_blocks
 from labpipe.spectra.covariance import (
     covariance_of_h1,
     covariance_of_random,
+    lines_around,
     noise_levels,
+    noise_shape,
     pooled_by_force,
+    pooled_residual,
     residual_spectrum,
 )
 from labpipe.spectra.local import local_parts
@@ -254,17 +257,17 @@ def parts_of_spectra(
     spectra: Sequence[CrossSpectra],
     settings: FrfSettings,
     layout: Layout,
-    half_width: int = 0,
+    shared: float = 0.0,
     apart: bool = False,
 ) -> Parts:
     """The FRF from the averaged spectra of every recording, weighted by their numbers of blocks; noise over
-    *half_width* lines around, or *apart* of every force. DataError when the forces, or the outputs an
-    estimator inverts, are not independent.
+    lines around, *shared* as in lines_around, or *apart* of every force. DataError when the forces, or the
+    outputs an estimator inverts, are not independent.
     """
     chosen = select_lines(spectra[0].frequency, settings)
     n_input = len(layout.inputs)
     if settings.estimator == "H1" and layout.one_force_each:
-        return parts_of_single_forces(spectra, chosen, layout, half_width, apart)
+        return parts_of_single_forces(spectra, chosen, layout, shared, apart)
     matrix = at_lines(joined_spectra(spectra, layout), chosen)
     u, y = slice(n_input), slice(n_input, None)
     s_uu, s_yu, s_yy = matrix[:, u, u], matrix[:, y, u], matrix[:, y, y]
@@ -276,6 +279,7 @@ def parts_of_spectra(
     response = first if settings.estimator == "H1" else ESTIMATORS[settings.estimator](s_uu, s_yu, s_yy)
     averages = sum(spectrum.averages for spectrum in spectra)
     covariance: StoredCovariance = None
+    half_width, dof = lines_around(averages - n_input, shared, len(response))
     if averages > n_input + 1:
         parts = (
             [at_lines(part, chosen) for part in shares_of(spectra, layout)] if len(spectra) > 1 else [matrix]
@@ -291,6 +295,7 @@ def parts_of_spectra(
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(first, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
+        dof=np.inf if covariance is None else dof,
         coherence=quality.ordinary_coherence(s_uu, s_yu, s_yy),
         partial_coherence=quality.partial_coherence(
             np.einsum("fii->fi", inverse_force).real, first, s_yu, s_yy
@@ -327,7 +332,7 @@ def _parts(
     s_yy: ComplexArray,
     layout: Layout,
 ) -> Parts:
-    averages, n_input = sum(spectrum.averages for spectrum in spectra), response.shape[2]
+    averages = sum(spectrum.averages for spectrum in spectra)
     message = (
         f"{averages:.2g} effective averages are too few to estimate the noise of the FRF; hit more often, or "
         "record longer or shorten `block`"
@@ -337,7 +342,7 @@ def _parts(
         matrix=response,
         covariance=covariance,
         averages=averages,
-        dof=np.inf if covariance is None else averages - n_input,
+        dof=np.inf,
         findings=(Finding("no-covariance", message),)
         if covariance is None
         else coherence_findings(multiple, np.einsum("foo->fo", s_yy).real, layout),
@@ -389,13 +394,14 @@ def _in_all_channels(spectra: CrossSpectra, columns: list[int], n_channel: int) 
 
 
 def parts_of_single_forces(
-    spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout, half_width: int, apart: bool
+    spectra: Sequence[CrossSpectra], chosen: BoolArray, layout: Layout, shared: float, apart: bool
 ) -> Parts:
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
     numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of a force's own recordings where
-    *apart*: leakage differs from force to force and from line to line. Else it is that of all, averaged over
-    *half_width* lines around, and raised or lowered where a force's recordings have another level of noise
-    that the responses do not share.
+    *apart*: leakage differs from force to force and from line to line; so does, of hits, noise that grows
+    with the force's own |H|^2, as noise of a hammer does. Else it is that of all, and raised or lowered where
+    a force's recordings have another level of noise that the responses do not share. Both are averaged over
+    lines around, *shared* as in lines_around.
     cov(H_oi, H_pi) = S_rr,i[o, p] / power_i, a block for every force. DataError for a force without power.
     """
     power, s_yu, by_force = _sum(spectra, chosen, layout)
@@ -404,14 +410,18 @@ def parts_of_single_forces(
     response = s_yu / power[:, None, :]
     averages, n_input = sum(spectrum.averages for spectrum in spectra), power.shape[1]
     covariance: StoredCovariance = None
-    dof = averages - n_input
+    half_width, dof = lines_around(averages - n_input, shared, len(response))
     if averages > n_input + 1:
         noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
         freedoms = _freedoms(spectra, layout)
-        if apart:
+        if apart or (shared and _grows_with_response(noise, response, freedoms / shared)):
+            around = [lines_around(freedom, shared, len(response)) for freedom in freedoms]
+            columns = zip(noise.swapaxes(0, 1), response.transpose(2, 0, 1)[..., None], around, strict=True)
+            noise = np.stack([pooled_residual(of, column, width) for of, column, (width, _) in columns], 1)
             # nu / (nu - n_output), by which weights enlarge a residual, is its mean over the forces.
-            of_weights = freedoms - len(layout.outputs)
-            dof = float(np.sum(freedoms / of_weights) / np.sum(1 / of_weights))
+            averaged = np.array([dof for _, dof in around])
+            of_weights = averaged - len(layout.outputs)
+            dof = float(np.sum(averaged / of_weights) / np.sum(1 / of_weights))
             freedoms = freedoms[:, None, None]
         else:
             # Levels of every response would turn what all of them share.
@@ -441,6 +451,17 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
     """Degrees of freedom (n_input,) of the noise in the recordings of every force."""
     return np.array([spectrum.averages for spectrum in spectra]) @ _acting(layout) - 1
+
+
+def _grows_with_response(noise: ComplexArray, response: ComplexArray, dof: FloatArray) -> bool:
+    """Whether *noise* (n_line, n_input, n_output, n_output) [any unit] of *dof* (n_input,) of a force's own
+    recordings grows with its own *response* (n_line, n_output, n_input) [unit/N] in any of them.
+    """
+    power = np.einsum("lioo->ilo", noise).real
+    columns = zip(power, response.transpose(2, 0, 1)[..., None], dof, strict=True)
+    return len(dof) > 1 and any(
+        n >= 1 and np.any(noise_shape(of_force, column, 1 / n) != 1) for of_force, column, n in columns
+    )
 
 
 def common_share(noise: ComplexArray, freedoms: FloatArray) -> float:
