@@ -38,7 +38,7 @@ from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
 from labpipe.estimation.weights import fit_weights, has_noise, weighted_by_model
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import Fit, FittedCurve
+from labpipe.records.identification import Candidate, Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
@@ -269,18 +269,10 @@ def _fit_band(
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    # Candidates show whether a damping law is justified, or why the residual of viscous damping is not noise.
-    of_model = estimator.likelihood and not settings.eliminate
-    alone = "damping" in settings.kind.keys and settings.sliding is None
-    lawless = of_model and alone and judgement.model_error is not None
-    compared_models, of_comparison = (
-        candidates(measured, setup, estimate if of_model else None)
-        if settings.compare or settings.damping != VISCOUS or lawless
-        else ((), ())
-    )
+    has_error = judgement.model_error is not None
+    compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
-    of_law = bool(compared_models) and not settings.compare and settings.damping == VISCOUS
-    law, most = (f"{HYSTERETIC.name} damping", LIKELIER * compared_models[0].chi2) if of_law else ("", np.inf)
+    most = LIKELIER * compared_models[0].chi2 if law else np.inf
     faults = _find_faults(case, judged, most) if judging else {}
     cause = next((f"a delay of {late}" for late in faults if late), law)
     fit = replace(
@@ -302,6 +294,23 @@ def _fit_band(
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
     return _BandFit(_with_cause(fit, judgement, cause), fitted, model, estimate.values)
+
+
+def _compare_variants(
+    setup: Setup, measured: Measured, estimate: Estimate, has_error: bool
+) -> tuple[tuple[Candidate, ...], tuple[str, ...], str]:
+    """Candidates that show whether a damping law is justified, or why the residual of viscous damping is not
+    noise where the model *has_error*, their notes, and the law that alone leaves noise.
+    """
+    settings = setup.settings
+    of_model = setup.settings.estimates.likelihood and not settings.eliminate
+    is_viscous = settings.damping == VISCOUS
+    lawless = of_model and has_error and "damping" in settings.kind.keys and settings.sliding is None
+    if is_viscous and not settings.compare and not lawless:
+        return (), (), ""
+    compared, notes = candidates(measured, setup, estimate if of_model else None)
+    of_law = bool(compared) and is_viscous and not settings.compare
+    return compared, notes, f"{HYSTERETIC.name} damping" if of_law else ""
 
 
 # Times the chi-square of another law of damping up to which a delay is as likely.
