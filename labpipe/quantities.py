@@ -243,6 +243,8 @@ def parse_unit(text: str) -> Unit:
     text = _BARE_POWER.sub(r"\1^\2", text)
     if text in _FIXED:
         return _FIXED[text]
+    if "%%" in text:
+        raise UnitError(f"unknown unit '{text}'", "did you mean '%'?")
     factor, dimension = 1.0, list(NONE)
     factors = _factors(text)
     for symbol, power in factors:

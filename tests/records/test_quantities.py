@@ -52,6 +52,8 @@ def test_value_in_si(text: str | float, unit: str, expected: float) -> None:
     ("text", "unit", "message", "hint"),
     [
         ("90 umm", "m", "unknown unit 'umm'", "did you mean 'um'?"),
+        # A slip of the finger, which was read as a ten-thousandth.
+        ("1 %%", "1", "unknown unit '%%'", "did you mean '%'?"),
         ("90", "m", "'90' has no unit", "write it with its unit, e.g. '90 m'"),
         ("3 N", "m", "'N' has the wrong dimension, m is needed", "for example '0.5 m'"),
         ("ninety um", "m", "'ninety um' is not a value with a unit", "for example '0.5 m'"),
