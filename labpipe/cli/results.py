@@ -199,6 +199,10 @@ def _control(series: catalogue_search.ParameterSeries) -> str:
     return f"control limits {f'{low} to {high} {unit_label(unit)}'.rstrip()}: beyond {beyond}"
 
 
+# Parameters without a partner that `compare` names.
+MOST_NAMED = 6
+
+
 @click.command()
 @click.argument("first", type=options.PLACE)
 @click.argument("second", type=options.PLACE)
@@ -232,6 +236,10 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     n_different = sum(pair.differs for pair in tested)
     level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
+    for which, names in zip(("first", "second"), catalogue_search.unpaired(mine, others), strict=True):
+        if names:
+            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+            echo(f"not compared, in the {which} alone: {'; '.join(names[:MOST_NAMED])}{more}")
     shared = digests & digests_there
     if shared and shared in (digests, digests_there):
         echo("both are of the same files: what they have of their noise in common makes no difference")

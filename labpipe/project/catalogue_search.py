@@ -10,7 +10,7 @@ import functools
 import itertools
 import json
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -237,7 +237,7 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
     matched by fit, term, band, test, name and unit; the test's name is ignored where neither result has two.
     """
     mine, others = list(first), list(second)
-    one_test = all(len({listed.test for listed in side} - {""}) < 2 for side in (mine, others))
+    one_test = _have_one_test(mine, others)
     theirs = {_key(listed, one_test): listed for listed in others}
     pairs = [
         _difference(listed, partner)
@@ -255,6 +255,25 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
     for number, p_value in zip(with_p_value, corrected, strict=True):
         pairs[number] = replace(pairs[number], p_value=float(p_value))
     return pairs
+
+
+def unpaired(mine: Sequence[ListedParameter], others: Sequence[ListedParameter]) -> Iterator[tuple[str, ...]]:
+    """What only the first, and what only the second of two results has, of the same unit: such as 'pedestal,
+    test a: k [N/m]'. These are not compared.
+    """
+    one_test = _have_one_test(mine, others)
+    keys = [{_key(listed, one_test) for listed in side} for side in (mine, others)]
+    for side, there in zip((mine, others), reversed(keys), strict=True):
+        alone = (listed for listed in side if _key(listed, one_test) not in there)
+        yield tuple(
+            f"{listed.title}{f', test {listed.test}' if listed.test and not one_test else ''}: "
+            f"{listed.parameter.name} [{listed.parameter.unit}]"
+            for listed in alone
+        )
+
+
+def _have_one_test(*sides: Sequence[ListedParameter]) -> bool:
+    return all(len({listed.test for listed in side} - {""}) < 2 for side in sides)
 
 
 def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:

@@ -426,3 +426,11 @@ def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:
     path.write_text(json.dumps(entries))
     ended = labpipe("compare", campaign / "one", campaign / "sub/two", "-p", "k")
     assert "differs" in ended.out and "1 of 2 parameters differ" in ended.out
+    # What has no partner, or one of another unit, is not passed over: it said 0 of 1, and nothing more.
+    (entry,) = (p for p in entries["fits"][0]["parameters"] if p["name"] == "k")
+    entry["unit"] = "N.m/rad"
+    path.write_text(json.dumps(entries))
+    ended = labpipe("compare", campaign / "one", campaign / "sub/two")
+    assert ended.code == 0 and "0 of 1 parameters differ" in ended.out
+    first, second = (line for line in ended.out.splitlines() if line.startswith("not compared"))
+    assert "direct, test a: k [N/m]; direct, test b: k" in first and "test a: k [N.m/rad]" in second
