@@ -236,7 +236,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     n_different = sum(pair.differs for pair in tested)
     level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
-    for which, names in zip(("first", "second"), catalogue_search.unpaired(mine, others), strict=True):
+    for which, names in zip(("first", "second"), catalogue_search.lone_parameters(mine, others), strict=True):
         if names:
             more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
             echo(f"not compared, in the {which} alone: {'; '.join(names[:MOST_NAMED])}{more}")

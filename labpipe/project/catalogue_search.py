@@ -257,7 +257,9 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
     return pairs
 
 
-def unpaired(mine: Sequence[ListedParameter], others: Sequence[ListedParameter]) -> Iterator[tuple[str, ...]]:
+def lone_parameters(
+    mine: Sequence[ListedParameter], others: Sequence[ListedParameter]
+) -> Iterator[tuple[str, ...]]:
     """What only the first, and what only the second of two results has, of the same unit: such as 'pedestal,
     test a: k [N/m]'. These are not compared.
     """
