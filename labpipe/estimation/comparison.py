@@ -219,9 +219,9 @@ def candidates(
 
     *ml_estimate*: that of the fit itself, where it is by ml. Every descent is bounded. Without `compare` only
     independent damping coefficients beside a damping law, and beside them hysteretic damping, where it alone
-    leaves noise. p_value: probability of an equal or larger decrease
-    of chi-square to the richest variant that contains this one, if this one is true (likelihood ratio,
-    chi-square with as many degrees of freedom as additional parameters). Equation (est-aic).
+    leaves noise. p_value: probability of an equal or larger decrease of chi-square to the richest variant
+    that contains this one, if this one is true (likelihood ratio, chi-square with as many degrees of freedom
+    as additional parameters). Equation (est-aic).
     """
     if not has_noise(measured):
         return (), ()

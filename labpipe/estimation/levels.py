@@ -72,8 +72,8 @@ def with_orders_named(fits: Sequence[Fit], conditions: Mapping[str, Conditions])
         with contextlib.suppress(UnitError):
             speed, unit = si_amount(str(conditions.get(fit.test, {}).get("speed", "")))
         if unit == "Hz" and speed > 0:
-            said = functools.partial(_name_order, speed=speed)
-            findings = (replace(f, message=LINE_ALONE.sub(said, f.message)) for f in fit.findings)
+            with_order = functools.partial(_name_order, speed=speed)
+            findings = (replace(f, message=LINE_ALONE.sub(with_order, f.message)) for f in fit.findings)
             fit = replace(fit, findings=tuple(findings))
         named.append(fit)
     return named

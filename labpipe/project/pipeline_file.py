@@ -439,15 +439,15 @@ def _check_whole(
 def _check_conditions(
     entries: dict[str, Marked], matrices: tuple[MatrixSettings, ...], tests: tuple[Test, ...], faults: Faults
 ) -> None:
-    known = dict.fromkeys(name for test in tests for name in (*test.conditions, *test.recorded))
+    conditions = dict.fromkeys(name for test in tests for name in (*test.conditions, *test.recorded))
     for matrix in matrices:
         written, key = entries["matrix"].content[matrix.name].content, join("matrix", matrix.name)
         for part in ("over", "beside"):
             for name in getattr(matrix, part):
                 # None of files to come, whose names may say them.
-                if known and name not in known:
+                if conditions and name not in conditions:
                     what = f"no test has the condition '{name}'"
-                    faults.add_at(written, key, part, what, nearest(name, known))
+                    faults.add_at(written, key, part, what, nearest(name, conditions))
 
 
 def _check_kinds(

@@ -220,11 +220,11 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
     """The parts less the damping that a window exp(-t / *decay*) [s] added, with their covariance;
     *correlation* (n_distance,) [1] of the noise of lines under it.
     """
-    one, two = (without_added_damping(parts.frequency, parts.matrix, decay, poles) for poles in (1, 2))
-    between = correlation_matrix(np.arange(one.gains.shape[1]), correlation)
-    needed = _needs_second_pole(parts, one, two, between)
-    matrix: ComplexArray = np.where(needed, two.matrix, one.matrix)
-    gains: ComplexArray = np.where(needed, two.gains, one.gains)
+    single, double = (without_added_damping(parts.frequency, parts.matrix, decay, poles) for poles in (1, 2))
+    between = correlation_matrix(np.arange(single.gains.shape[1]), correlation)
+    needed = _needs_second_pole(parts, single, double, between)
+    matrix: ComplexArray = np.where(needed, double.matrix, single.matrix)
+    gains: ComplexArray = np.where(needed, double.gains, single.gains)
     covariance = parts.covariance
     if isinstance(covariance, np.ndarray):
         covariance = covariance_without_damping(gains, covariance, correlation)
@@ -252,14 +252,14 @@ def _noise_power(gains: ComplexArray, between: ComplexArray) -> FloatArray:
     return power
 
 
-def _needs_second_pole(parts: Parts, one: Undamped, two: Undamped, between: ComplexArray) -> BoolArray:
+def _needs_second_pole(parts: Parts, single: Undamped, double: Undamped, between: ComplexArray) -> BoolArray:
     """Of every force (n_input,) whether a second pole moves a line by more than its noise: where nothing
     needs it, it adds noise. True where the noise is not known.
     """
     variance = variance_of(parts.covariance)
     if variance is None:
         return np.ones(parts.matrix.shape[2], bool)
-    noise = _noise_power(two.gains - one.gains, between) * variance.reshape(one.matrix.shape)
-    moved = np.abs(two.matrix - one.matrix) ** 2
+    noise = _noise_power(double.gains - single.gains, between) * variance.reshape(single.matrix.shape)
+    moved = np.abs(double.matrix - single.matrix) ** 2
     squares = np.divide(moved, noise, out=np.zeros_like(noise), where=noise > 0)
     return np.asarray(np.any(squares.mean(axis=1) > NEEDED, axis=0))

@@ -334,12 +334,12 @@ def feedback_of_periods(
             continue
         noise = layout.pad(number, spectrum.noise, 2)
         for force in range(n_input):
-            told = ~lines_of_hum(spectrum.frequency, noise[:, force, force].real)
+            clear = ~lines_of_hum(spectrum.frequency, noise[:, force, force].real)
             values = [
                 chance_of_phase(
-                    noise[told][:, [force, n_input + o]][:, :, [force, n_input + o]],
-                    matrix[told, o, force],
-                    gain[told, force],
+                    noise[clear][:, [force, n_input + o]][:, :, [force, n_input + o]],
+                    matrix[clear, o, force],
+                    gain[clear, force],
                     spectrum.dof,
                 )
                 for o in range(matrix.shape[1])

@@ -399,8 +399,8 @@ def parts_of_single_forces(
     """The FRF H = S_yu / S_uu column by column at the *chosen* lines (n_line,); spectra weighted by their
     numbers of blocks. The noise of the responses, S_yy - H S_uy, is that of a force's own recordings where
     *apart*: leakage differs from force to force and from line to line; so does, of hits, noise that grows
-    with the force's own |H|^2, as noise of a hammer does. Else it is that of all, and raised or lowered where
-    a force's recordings have another level of noise that the responses do not share. Both are averaged over
+    with the force's own |H|^2, as noise of a hammer does, where each force has hits enough to tell it. Else
+    it is that of all, brought to the level and the law of each by pooled_by_force. Both are averaged over
     lines around, *shared* as in lines_around.
     cov(H_oi, H_pi) = S_rr,i[o, p] / power_i, a block for every force. DataError for a force without power.
     """

@@ -199,14 +199,14 @@ def leakage_findings(measured: MeasuredSensitivity, peak: Peak) -> list[Finding]
         return []
     width = around.high - around.low
     lines = blocks.length * width
-    lower, known = (OF_WINDOW / lines) ** 2, peak.error / peak.value
-    if lower < known:
+    lower, error = (OF_WINDOW / lines) ** 2, peak.error / peak.value
+    if lower < error:
         return []
     what = (
         f"the peak of the sensitivity at {peak.frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
         f"{lines:.2g} lines of blocks of {blocks.length:.3g} s: they make it lower, and margins beside it "
         f"larger, by up to {100 * lower:.2g} %, which no standard error shows; use blocks of at least "
-        f"{rounded_up(max(2 * OF_WINDOW / known**0.5, ENOUGH_LINES) / width):g} s, or periodic excitation"
+        f"{rounded_up(max(2 * OF_WINDOW / error**0.5, ENOUGH_LINES) / width):g} s, or periodic excitation"
     )
     return [Finding("leakage", what)]
 

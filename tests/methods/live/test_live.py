@@ -416,6 +416,21 @@ def test_noise_of_a_hammer_is_taken_off_as_in_a_run(rng, excluded):
     assert all("taken off" in message for message in said)
 
 
+def noisy_hits(seed: int, hits: int, n: int, rate: float) -> np.ndarray:
+    """Force [N] and displacement [m] (n_sample, 2) of *hits* every *n* samples at *rate* [Hz] on 10 kg, 400
+    kN/m and 300 N.s/m, with noise of 1 N and of .2 % of the largest displacement.
+    """
+    rng, force = np.random.default_rng(seed), np.zeros(hits * n + 400)
+    w = 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
+    for hit in range(hits):
+        begin = 100 + hit * n + int(rng.integers(0, 50))
+        force[begin : begin + 9] = 100 * rng.uniform(0.7, 1.3) * np.sin(np.pi * np.arange(9) / 8)
+    spectrum = np.fft.rfft(force, 4 * hits * n) / (4e5 + 300j * w - 10 * w**2)
+    moved = np.fft.irfft(spectrum, 4 * hits * n)[: force.size]
+    noise = np.array([1.0, 2e-3 * np.max(np.abs(moved))]) * rng.normal(size=(force.size, 2))
+    return np.column_stack([force, moved]) + noise
+
+
 @pytest.mark.parametrize("highest", [60, 300])
 def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run(highest):
     """White noise of 1 % of the peak within a window of 30 ms is one error of neighbouring lines: k of 12
@@ -426,16 +441,8 @@ def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run(highest):
     channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
     frf = FrfSettings("impact", block=2.0, band=(10, highest), impact=ImpactSettings(force_window=0.03))
     settings, off, reduced = FitSettings("sdof", name="s", mass=10.0, repeats="pool"), [], []
-    w = 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
     for seed in range(12):
-        rng, force = np.random.default_rng(seed), np.zeros(hits * n + 400)
-        for hit in range(hits):
-            begin = 100 + hit * n + int(rng.integers(0, 50))
-            force[begin : begin + 9] = 100 * rng.uniform(0.7, 1.3) * np.sin(np.pi * np.arange(9) / 8)
-        spectrum = np.fft.rfft(force, 4 * hits * n) / (4e5 + 300j * w - 10 * w**2)
-        moved = np.fft.irfft(spectrum, 4 * hits * n)[: force.size]
-        noise = np.array([1.0, 2e-3 * np.max(np.abs(moved))]) * rng.normal(size=(force.size, 2))
-        record = Recording(channels, np.column_stack([force, moved]) + noise, rate, "hits")
+        record = Recording(channels, noisy_hits(seed, hits, n, rate), rate, "hits")
         bench = Bench(channels, rate, frf, [settings])
         bench.add(record.samples)
         (ran,), last = identify(measure([record], frf), settings), bench.updates[-1]
@@ -458,21 +465,13 @@ def test_noise_of_a_hammer_within_its_window_is_no_floor_of_whole_recordings():
     the force in its window as an error of all lines. No number is stated: nothing is left of it by many hits.
     """
     n, hits, rate = 4400, 12, 2000.0
-    rng, force = np.random.default_rng(4), np.zeros(hits * n + 400)
     channels = (Channel("f", "force", "input", "x"), Channel("y", "displacement", "output", "x"))
     settings = ImpactSettings(force_window=0.03, decay=0.3)
     frf = FrfSettings("impact", block=1.0, band=(10, 60), impact=settings)
-    w = 2 * np.pi * np.fft.rfftfreq(4 * hits * n, 1 / rate)
-    for hit in range(hits):
-        begin = 100 + hit * n + int(rng.integers(0, 50))
-        force[begin : begin + 9] = 100 * rng.uniform(0.7, 1.3) * np.sin(np.pi * np.arange(9) / 8)
-    spectrum = np.fft.rfft(force, 4 * hits * n) / (4e5 + 300j * w - 10 * w**2)
-    moved = np.fft.irfft(spectrum, 4 * hits * n)[: force.size]
-    noise = np.array([1.0, 2e-3 * np.max(np.abs(moved))]) * rng.normal(size=(force.size, 2))
     goals = [Goal.of("s.k.expanded<=0.5%")]
     fits = WholeFits(channels, rate, frf, [FitSettings("sdof", name="s", mass=10.0)], goals)
     try:
-        fits.add(np.column_stack([force, moved]) + noise)
+        fits.add(noisy_hits(4, hits, n, rate))
         (update,) = fits.look() or fits.updates[-1:]
     finally:
         fits.close()
