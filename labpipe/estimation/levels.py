@@ -5,8 +5,6 @@ linear.
 from __future__ import annotations
 
 import contextlib
-import functools
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -22,8 +20,8 @@ from labpipe.records.identification import Fit, random_part
 # Conditions of a test that say how strongly it was excited.
 LEVELS = ("level", "amplitude", "force", "excitation")
 AMPLITUDE_P = 0.01
-# What says that one line [Hz] alone is off, and the share of a frequency within which it is an order.
-LINE_ALONE, SAME_ORDER = re.compile(r"(the line at (\S+) Hz alone makes it so)"), 0.005
+# The share of a frequency within which it is an order of the shaft.
+SAME_ORDER = 0.005
 KINDS = {"N/m": "stiffness", "N.s/m": "damping"}
 
 Conditions = Mapping[str, str]
@@ -63,8 +61,8 @@ def with_level_findings(fits: Sequence[Fit], conditions: Mapping[str, Conditions
 
 
 def with_orders_named(fits: Sequence[Fit], conditions: Mapping[str, Conditions]) -> list[Fit]:
-    """The fits, where one line alone is said to make a residual what it is with the order of the shaft that
-    it is at the speed which the *conditions* of a test, by its name, state.
+    """The fits; a finding of one line says with it which order of the shaft that is, at the speed which the
+    *conditions* of a test, by its name, state.
     """
     named = []
     for fit in fits:
@@ -72,17 +70,17 @@ def with_orders_named(fits: Sequence[Fit], conditions: Mapping[str, Conditions])
         with contextlib.suppress(UnitError):
             speed, unit = si_amount(str(conditions.get(fit.test, {}).get("speed", "")))
         if unit == "Hz" and speed > 0:
-            with_order = functools.partial(_name_order, speed=speed)
-            findings = (replace(f, message=LINE_ALONE.sub(with_order, f.message)) for f in fit.findings)
-            fit = replace(fit, findings=tuple(findings))
+            fit = replace(fit, findings=tuple(_with_order(finding, speed) for finding in fit.findings))
         named.append(fit)
     return named
 
 
-def _name_order(line: re.Match[str], speed: float) -> str:
-    order = float(line[2]) / speed
-    is_whole = abs(order - round(order)) < SAME_ORDER * order and order > 0.5
-    return f"{line[1]}, {round(order)}x of the shaft at {60 * speed:.6g} rpm" if is_whole else line[1]
+def _with_order(finding: Finding, speed: float) -> Finding:
+    order = (finding.line_hz or 0.0) / speed
+    if order < 0.5 or abs(order - round(order)) > SAME_ORDER * order:
+        return finding
+    text = f"{finding.line_hz:.6g} Hz is {round(order)}x of the shaft at {60 * speed:.6g} rpm"
+    return replace(finding, message=f"{finding.message}. {text}")
 
 
 def _difference(low: _Test, high: _Test) -> str:

@@ -90,12 +90,12 @@ class _Judge:
         """The excess over the measured noise, or None."""
         return excess(self.estimate.gof.chi2_reduced, self.estimate.gof.chi2_p)
 
-    def finding(self, text: str, remedy: str) -> tuple[Finding, ...]:
+    def finding(self, text: str, remedy: str, line_hz: float | None = None) -> tuple[Finding, ...]:
         """The finding: leakage of short blocks looks like a wrong model; a narrower band would not help."""
         if self.leaking:
             text = f"leakage of the short blocks, or a wrong model: {text}"
             remedy = "Use longer blocks first: a narrower band leaves the leakage as it is"
-        return (Finding("model-mismatch", f"{text}. {remedy}"),)
+        return (Finding("model-mismatch", f"{text}. {remedy}", line_hz=line_hz),)
 
     def minimum(self, problem: OutputError[ReceptanceModel], start: FloatArray) -> _Minimum | None:
         """The minimum from *start* (n_parameter,); None where there is none, or it cannot be judged."""
@@ -257,7 +257,8 @@ def _judge_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
     other = without.minimum(OutputError.of(without.measured, judged.model), best.values)
     if other is None or other.p_value < MISMATCH_P:
         return None
-    alone, remedy = line_alone(float(measured.omega[line] / (2 * np.pi)))
+    line_hz = float(measured.omega[line] / (2 * np.pi))
+    alone, remedy = line_alone(line_hz)
     away = other.values - estimate.values
     wide = _with_distance(_raise_to(other.assessed.covariance, estimate.covariance), away)
     ratios = np.abs(away) / np.sqrt(np.maximum(np.diag(other.assessed.covariance), np.finfo(float).tiny))
@@ -267,7 +268,7 @@ def _judge_one_line(judged: _Judge, best: _Minimum) -> Judgement | None:
         f"{judged.model.names[worst]} is {ratios[worst]:.2g} standard errors away. {_growth(estimate, wide)} "
         "since they include the distance"
     )
-    return Judgement(judged.finding(text, remedy), wide)
+    return Judgement(judged.finding(text, remedy, line_hz), wide)
 
 
 def line_alone(frequency: float) -> tuple[str, str]:

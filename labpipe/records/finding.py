@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 NOTE, WARNING = "note", "warning"
 
@@ -21,12 +21,13 @@ class Finding:
     with the results.
 
     *level*: a warning limits how far a number can be trusted; a note only says what was done (lines masked, a
-    hit left out).
+    hit left out). *line_hz*: the one line [Hz] it speaks of; not stored.
     """
 
     code: str
     message: str
     level: str = WARNING
+    line_hz: float | None = field(default=None, compare=False, metadata={"entry": False})
 
     def __post_init__(self) -> None:
         if self.level not in (NOTE, WARNING):

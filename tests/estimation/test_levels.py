@@ -147,16 +147,15 @@ def test_noise_alone_is_a_false_alarm_in_one_run_of_a_hundred_at_most() -> None:
 @pytest.mark.parametrize(
     ("line", "speed", "said"),
     [
-        ("100", "6000 rpm", ", 1x of the shaft at 6000 rpm"),
-        ("100.2", "50 Hz", ", 2x of the shaft at 3000 rpm"),
-        ("100", "4000 rpm", ""),
-        ("100", "slow", ""),
+        (100.0, "6000 rpm", ". 100 Hz is 1x of the shaft at 6000 rpm"),
+        (100.2, "50 Hz", ". 100.2 Hz is 2x of the shaft at 3000 rpm"),
+        (100.0, "4000 rpm", ""),
+        (100.0, "slow", ""),
     ],
 )
-def test_a_line_alone_is_an_order_of_the_shaft_as_well(line: str, speed: str, said: str) -> None:
+def test_a_line_alone_is_an_order_of_the_shaft_as_well(line: float, speed: str, said: str) -> None:
     """At 6000 rpm 1x is 100 Hz, which a grid of 50 Hz has as well: nothing tells which of them acts."""
-    begins, ends = f"the line at {line} Hz alone makes it so", ", a multiple of the mains' 50 Hz: something"
-    message = begins + ends
-    off = fit("run", findings=(Finding("model-mismatch", message), Finding("drift", "another")))
+    message = "a multiple of the mains' 50 Hz"
+    off = fit("run", findings=(Finding("model-mismatch", message, line_hz=line), Finding("drift", "another")))
     (named_fit,) = with_orders_named([off], {"run": {"speed": speed}})
-    assert [found.message for found in named_fit.findings] == [begins + said + ends, "another"]
+    assert [found.message for found in named_fit.findings] == [message + said, "another"]

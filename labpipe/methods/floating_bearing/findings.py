@@ -336,6 +336,7 @@ def balance_error(
         "model-mismatch",
         f"{excess}{said}. Intervals include what the model leaves "
         f"unexplained, and are up to {growth:.3g} times as wide as noise alone makes them. {cure}",
+        line_hz=frequency,
     )
     return BalanceError(whole, error, (finding,))
 

@@ -17,6 +17,7 @@ from labpipe.estimation.levels import with_level_findings
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.findings import remedy
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
+from labpipe.records.finding import Finding
 from labpipe.records.fit_details import DynamicStiffness
 from labpipe.records.identification import Fit, Identification
 from labpipe.records.recording import Channel
@@ -278,16 +279,19 @@ def test_hum_on_one_line_is_named_and_nothing_else() -> None:
         assert lines.sum() == len(frequencies)
         return replace(spectra, vectors=spectra.vectors + 50 * sizes * (lines[:, None, None] & forces))
 
-    def mismatch(of: ChannelSpectra, **keys: str) -> str:
+    def mismatch(of: ChannelSpectra, **keys: str) -> Finding:
         (found,) = (one for one in fitted(of, **{**GIVEN, **keys}).findings if one.code == "model-mismatch")
-        return found.message
+        return found
 
-    said = mismatch(hum(50.0))
+    named = mismatch(hum(50.0))
+    said = named.message
+    assert named.line_hz == pytest.approx(50.0)
     assert "the line at 50 Hz alone makes it so, a multiple of the mains' 50 Hz" in said
     assert "Leave the line out, `exclude: [49.99-50.01 Hz]`" in said and "most likely" not in said
     heavy = mismatch(drawn(replace(EVEN, noise=0.001)), stator_mass="61.2 kg")
     for other in (mismatch(hum(50.0, 84.0)), heavy):
-        assert "most likely" in other and "alone makes it so" not in other
+        assert "most likely" in other.message and "alone makes it so" not in other.message
+        assert other.line_hz is None
 
 
 def test_symmetries_tie_their_coefficients() -> None:
