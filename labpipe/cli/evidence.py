@@ -311,7 +311,7 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
 
 def _hindrance(archive: Unpacked) -> str:
     if archive.left_out:
-        return f"of {archive.left_out} files the archive holds the digests only"
+        return f"of {archive.left_out} files the archive holds only the digests"
     made = read_identification(archive.results / NAME)
     other = f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
     return "" if made.code == code_digest() else other
@@ -383,7 +383,7 @@ def sign(
     secret = os.environ.get(SECRET)
     if secret is None:
         if not sys.stdin.isatty():
-            raise ConfigError(f"the password is not known: nobody to ask, and no {SECRET} is set")
+            raise ConfigError(f"the password is missing: nobody can be asked for it, and {SECRET} is not set")
         secret = click.prompt("Password", hide_input=True, err=True)
     used = Key(file=key, module=pkcs11, token=token, label=label, secret=secret)
     target = signed(file, used, role, reason, timestamp)

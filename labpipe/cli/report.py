@@ -77,7 +77,7 @@ def report(
                 paths.remove(path)
                 echo(message_line(f"warning: {error}"), err=True)
         if test and len(paths) > 1:
-            raise click.UsageError("--test is of one result; several are named")
+            raise click.UsageError("--test takes one result; several are named")
         if test:
             tell(f"report    {test}")
             write_test_report(identifications[0], test, output, figures, paths[0].parent)

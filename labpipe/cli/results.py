@@ -242,7 +242,7 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
             echo(f"not compared, in the {which} alone: {'; '.join(names[:MOST_NAMED])}{more}")
     shared = digests & digests_there
     if shared and shared in (digests, digests_there):
-        echo("both are of the same files: what they have of their noise in common makes no difference")
+        echo("both come from the same files: the noise that they share makes no difference")
 
 
 def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:

@@ -174,7 +174,7 @@ def _seconds(text: str) -> float:
     except UnitError as error:
         raise click.BadParameter(f"{error.what}; write it as 10 s or 5 min") from None
     if not 0 <= seconds < float("inf"):
-        raise click.BadParameter("a time from 0 s on is needed")
+        raise click.BadParameter("a time of 0 s or more is needed")
     return seconds
 
 

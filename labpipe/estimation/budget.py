@@ -72,7 +72,7 @@ def budget_of(case: Case, parameters: Sequence[Parameter]) -> uncertain.Budget |
         estimate = replace(case.estimate, values=step(model, changed.measured))
         reported = {p.name: p.value for p in reported_parameters(estimate, model, changed.setup)}
         if missing := [name for name in names if name not in reported]:
-            what = f"stated uncertainties reach to where there is no {missing[0]}"
+            what = f"within the stated uncertainties {missing[0]} can have no value"
             hint = "a stiffness or mass about zero has no frequency: another model or band"
             raise FitError(what, hint=hint)
         return np.array([reported[name] for name in names])

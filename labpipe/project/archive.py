@@ -318,7 +318,7 @@ def _check_safe(info: zipfile.ZipInfo, members: dict[str, zipfile.ZipInfo], path
     name = info.orig_filename
     parts = name.removesuffix("/").split("/")
     if "\0" in name or "\\" in name or ":" in parts[0] or any(part in ("", ".", "..") for part in parts):
-        what = "has a name that leads out of the archive, or is none"
+        what = "has a name that is empty or leads out of the archive"
     elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
         what = "is not a regular file"
     elif info.flag_bits & ENCRYPTED:

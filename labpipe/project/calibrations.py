@@ -186,7 +186,7 @@ def _row(row: list[str], name: str) -> tuple[float, float, float]:
     except ValueError:
         raise UnitError(f"'{name}': '{','.join(row)}' is not a frequency, gain and phase") from None
     if not (math.isfinite(frequency) and math.isfinite(phase) and frequency >= 0 and 0 < gain < math.inf):
-        raise UnitError(f"'{name}': frequency {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg cannot be")
+        raise UnitError(f"'{name}': impossible: {frequency:g} Hz, gain {gain:g}, phase {phase:g} deg")
     return frequency, gain, math.radians(phase)
 
 
@@ -199,7 +199,7 @@ class CertificateSettings(Settings):
     number: str = text("number of the certificate, where a table holds several")
     serial: str = text("serial number of the sensor, which the certificate must name")
     date: str = text("day of the measurement, on which it must be valid; default: today")
-    sha256: str = text("digest of the file, by which no change of it goes unseen")
+    sha256: str = text("digest of the file, so that no change of it goes unnoticed")
     over: str = text("quantity with the frequencies of a sensitivity over frequency")
     at: float | None = setting(
         "value",
@@ -300,7 +300,7 @@ def _course_over_frequency(
         raise UnitError(f"'{settings.quantity}' changes its sign over frequency", "state the phase beside it")
     if settings.at not in hertz:
         listed = ", ".join(f"{f:g} Hz" for f in hertz[:12])
-        raise UnitError("'at' is none of the frequencies of the certificate", f"one of {listed}")
+        raise UnitError("'at' is not among the frequencies of the certificate", f"one of {listed}")
     place = hertz.index(settings.at)
     radians = [0.0] * count
     if phases is not None:

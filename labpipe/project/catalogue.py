@@ -139,7 +139,7 @@ def _add(connection: sqlite3.Connection, name: str, path: Path, given: dict[str,
     try:
         rows = _rows(read_identification(path), given["date"])
     except (DataError, *BAD_ENTRY) as error:
-        other = f"holds what no labpipe wrote ({type(error).__name__}: {error})"
+        other = f"holds what labpipe did not write ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
         rows = [("result", {"verdict": "unreadable", "fault": shorten(what)})]
     (_, whole), *parts = rows

@@ -160,7 +160,7 @@ def expand(
     """The sum of channel *name* in recorded channels. UnitError for one that holds itself."""
     if name in above:
         ring = " of ".join((*above[above.index(name) :], name))
-        raise UnitError(f"the sum holds itself: {ring}", "write it in recorded channels")
+        raise UnitError(f"the sum contains itself: {ring}", "write it in recorded channels")
     terms: dict[str, SumTerm] = {}
     for term in sums[name]:
         is_sum = term.channel in sums

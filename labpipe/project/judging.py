@@ -118,7 +118,7 @@ def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, 
             text,
             code,
             False,
-            shown=f"{code}, a refusal without any rule; `accept: {{warnings: {ALSO}{code}}}` takes it",
+            shown=f"{code}, refused without any rule; `accept: {{warnings: {ALSO}{code}}}` accepts it",
         )
         for text, code in codes.items()
     )

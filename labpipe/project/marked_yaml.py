@@ -144,7 +144,7 @@ class _Tree:
         where = _place(node.start_mark, self._name)
         self._count += 1
         if self._count > MOST_NODES:
-            raise ConfigError(f"aliases make more than {MOST_NODES} entries of the file", where)
+            raise ConfigError(f"aliases expand the file to more than {MOST_NODES} entries of the file", where)
         if id(node) in above:
             raise ConfigError("an alias refers to the node that contains it", where)
         above = above | {id(node)}

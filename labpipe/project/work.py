@@ -110,7 +110,7 @@ def _begin(settings: FitSettings, fits: Sequence[Fit], work: Work) -> FitSetting
         for failure in work.failed:
             if failure.name in tests:
                 what = f"it begins with '{earlier}', which has no result: {failure.message}"
-                raise FitError(what, where, "mend that one first")
+                raise FitError(what, where, "correct that one first")
     with locate_errors(where):
         settings = settings.kind.begin(settings, fits)
         if named is not None:

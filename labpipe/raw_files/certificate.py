@@ -218,7 +218,7 @@ _PERIOD = re.compile(r"P(?:(\d+)Y)?(?:(\d+)M)?(?:(\d+)D)?")
 def _after(day: datetime.date, period: str) -> datetime.date:
     match = _PERIOD.fullmatch(period)
     if match is None or not any(match.groups()):
-        raise UnitError(f"the period '{period}' is none of years, months and days")
+        raise UnitError(f"the period '{period}' is not in years, months and days")
     years, months, days = (int(part or 0) for part in match.groups())
     month = day.year * 12 + day.month - 1 + 12 * years + months
     try:
@@ -295,7 +295,7 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     ]
     blocks = [child for child in number if "nc" in _local(child) or "Interval" in _local(child)]
     if len(stated) > 1 or len(blocks) > len(stated):
-        raise UnitError(f"the uncertainty in '{_local(number)}' is stated twice, or in no known way")
+        raise UnitError(f"the uncertainty in '{_local(number)}' is stated twice, or in an unknown form")
     if not stated:
         return None
     element, size, factor = stated[0]
@@ -342,7 +342,7 @@ def unit_text(text: str) -> str:
         place = match.end()
         if word == "tothe" and parts and power and re.fullmatch(r"[+-]?\d+(\.\d+)?", power) and not prefix:
             if parts[-1][1] and power[0] == "-":
-                raise UnitError(f"a negative power '{power}' behind \\per says two things")
+                raise UnitError(f"a negative power '{power}' behind \\per is ambiguous")
             parts[-1][1] += power.lstrip("+")
         elif power is None and word == "per" and not sign and not prefix:
             sign = "-"
@@ -424,7 +424,7 @@ def _rows(content: bytes, name: str) -> list[dict[str, str]]:
     missing = [column for column in NEEDED if column not in heads]
     unknown = [column for column in heads if column not in (*NEEDED, *OPTIONAL)]
     if missing or unknown or len(set(heads)) < len(heads):
-        what = f"has no column '{missing[0]}'" if missing else f"has an unknown or double column in {heads}"
+        what = f"has no column '{missing[0]}'" if missing else f"has an unknown or repeated column in {heads}"
         raise UnitError(f"'{name}' {what}", f"columns: {', '.join((*NEEDED, *OPTIONAL))}")
     if any(len(row) != len(heads) for row in reader[1:]) or len(reader) < 2:
         raise UnitError(f"'{name}' has no rows, or one with more or fewer cells than columns")

@@ -410,7 +410,7 @@ class TimeAxisScreen:
                 if whole > 2 or (whole != 1 and exact and step > FINE * resolution):
                     lost = f"{whole - 1} sample(s) are lost" if whole else "a row stands twice"
                     hint = f"{lost} there; cut the recording, or record it again"
-                    raise DataError(f"{what}: {at}, {usual:g} s else", hint=hint)
+                    raise DataError(f"{what}: {at}, {usual:g} s elsewhere", hint=hint)
                 hint = "a lost sample or coarse times; if the logger runs evenly, give sample_rate in the "
                 raise DataError(
                     f"{what}: {at}, {step:g} s on average", hint=f"{hint}rig file instead of time"

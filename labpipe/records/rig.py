@@ -36,7 +36,7 @@ def time_scale(column: str | None, units: Mapping[str, str], where: Path | str =
     try:
         return parse_value(f"1 {unit}", "s")
     except UnitError:
-        what, hint = f"'{column}' is in {stated}, no unit of time", "known: s, ms, us, ns, min, h"
+        what, hint = f"'{column}' is in {stated}, which is not a unit of time", "known: s, ms, us, ns, min, h"
         raise DataError(what, where, f"{hint}; or give sample_rate instead of time") from None
 
 

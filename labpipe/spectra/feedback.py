@@ -87,8 +87,8 @@ def feedback_of_records(
     lags = (
         Finding(
             "reference-lag",
-            f"the reference {name} lags by {1e3 * lag:.3g} ms: forces and responses come before it, and in "
-            f"order once it is moved forward. State `delay: {1e3 * lag:.3g} ms` of that channel, or record "
+            f"the reference {name} lags by {1e3 * lag:.3g} ms: forces and responses precede it, and follow "
+            f"it once it is moved forward. State `delay: {1e3 * lag:.3g} ms` of that channel, or record "
             "all on one clock; blocks must be long beside the lag, since their ends tear the reference from "
             "what it moves",
         )

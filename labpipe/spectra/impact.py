@@ -191,7 +191,7 @@ def check_single_force(source: SampleSource) -> int:
 
 
 WINDOW = "give `impact: {force_window: ...}`"
-TAKEN_OFF = "that is taken off, as far as noise does not change"
+TAKEN_OFF = "that is taken off, as far as the noise is steady"
 AFTER_HITS, IN_WINDOW = "after its hits makes H low by", "within its window moves H by"
 SHORTEN = "shorten `force_window` to a little more than the contact"
 COUNTED = f"intervals count that; {SHORTEN}"

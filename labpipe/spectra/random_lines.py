@@ -194,7 +194,7 @@ def _drives(sources: Sequence[SampleSource], settings: FrfSettings, layout: Chan
             "record the drives of the shakers as channels of quantity: voltage, role: reference, or use "
             "a periodic excitation"
         )
-        what = "random excitation needs a recorded drive of every shaker: each measured channel has noise"
+        what = "random excitation needs a recorded drive of every shaker, since measured channels have noise"
         raise DataError(what, hint=hint)
     for source in sources:
         missing = set(names) - {channel.name for channel in source.channels}

@@ -196,7 +196,7 @@ class FrfSettings(Settings):
         low, high = self.band
         if all(last < low or first > high for first, last in self.exclude):
             what = f"'exclude' leaves nothing out of the band of {low:g} to {high:g} Hz"
-            raise SettingError("exclude", what, "leave it out, or mend its unit")
+            raise SettingError("exclude", what, "leave it out, or correct its unit")
 
     def _check_keys(self) -> None:
         idle: tuple[str, ...] = ()

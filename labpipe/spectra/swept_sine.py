@@ -159,7 +159,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     lines = np.rint(spectra.frequency * n_sample / rate).astype(int)
     bursts = _bursts(spectra, lines, every, layout, n_sample, rate)
     low = _low_by_noise(spectra.blocks, lines, layout, n_sample)
-    what, hint = "in repeated sweeps makes H low by", "average less of it: a better sensor, or more force"
+    what, hint = "in repeated sweeps makes H low by", "use a better sensor, or more force"
     parts = replace(parts, findings=(*_notes(swept, n_sample, rate), *leakage, *parts.findings))
     parts = without_force_noise(parts, low, layout, what, hint, taken_off=True)
     return replace(parts, findings=(*parts.findings, *bursts, *rates))

@@ -123,7 +123,7 @@ def test_a_frequency_that_uncertainties_take_away_is_refused() -> None:
     response = FrequencyResponse(
         BAND, matrix, *ports, covariance=diagonal_covariance(np.full(matrix.shape, std**2))
     )
-    with pytest.raises(FitError, match="stated uncertainties reach to where there is no f_n"):
+    with pytest.raises(FitError, match="within the stated uncertainties f_n can have no value"):
         identify(response, settings("ml", mass="0.79 kg +- 1 %"))
 
 

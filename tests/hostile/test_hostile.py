@@ -243,7 +243,7 @@ def test_aliases_of_aliases_are_counted(tmp_path: Path, labpipe: Command) -> Non
     lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
     lines += [f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]" for old, new in itertools.pairwise(letters)]
     (tmp_path / "bomb.yaml").write_text("\n".join(lines))
-    refused(labpipe("run", tmp_path / "bomb.yaml", "-o", tmp_path / "out"), "aliases make more than")
+    refused(labpipe("run", tmp_path / "bomb.yaml", "-o", tmp_path / "out"), "aliases expand the file")
     (tmp_path / "deep.yaml").write_text("a: " + "[" * DEEP)
     refused(labpipe("run", tmp_path / "deep.yaml", "-o", tmp_path / "out"), "nested too deeply")
 

@@ -416,7 +416,7 @@ def test_comparing_on_the_terminal(campaign: Path, labpipe) -> None:
     for name, digests in (("once", "a"), ("again", "ab")):
         sources = tuple({"path": f"{digest}.csv", "sha256": 64 * digest} for digest in digests)
         store(campaign / name, [fit("a", 1000.0)], {"a": {}}, sources=sources)
-    assert "both are of the same files" in labpipe("compare", campaign / "once", campaign / "again").out
+    assert "both come from the same files" in labpipe("compare", campaign / "once", campaign / "again").out
     ended = labpipe("compare", campaign / "one", campaign / "three")
     assert ended.code == 2 and "no fit in common (fits: direct; axial)" in ended.err
     path = campaign / "sub/two/identification.json"

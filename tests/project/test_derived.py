@@ -136,7 +136,7 @@ def test_members_are_references_unless_the_file_says_otherwise(tmp_path: Path) -
         ("e: {quantity: force, derived: ''}", "8:24", "a text is missing"),
         ("e: {quantity: force, derived: 'f - 3 kgg * a'}", "8:24", "unknown unit 'kgg'"),
         ("e: {quantity: force, derived: 'f', unit: kN}", "8:38", "belongs to a recorded channel"),
-        ("e: {quantity: force, derived: 'f + 2 * e'}", "8:24", "the sum holds itself: e of e"),
+        ("e: {quantity: force, derived: 'f + 2 * e'}", "8:24", "the sum contains itself: e of e"),
     ],
 )
 def test_faults_have_their_place(tmp_path: Path, entry: str, place: str, message: str) -> None:
@@ -173,7 +173,7 @@ def test_sums_may_be_listed_by_themselves(tmp_path: Path) -> None:
 
 
 def test_a_ring_of_sums_and_a_constant_without_unit_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigErrors, match="holds itself: d of e of d"):
+    with pytest.raises(ConfigErrors, match="contains itself: d of e of d"):
         rig(tmp_path, "d: {quantity: force, derived: 2 * e}", "e: {quantity: force, derived: f + d}")
     (tmp_path / "rig.yaml").write_text(HEAD.replace("30 kg +- 0.1 kg", "heavy"))
     with pytest.raises(ConfigErrors, match=r"rig.yaml:2:\d+: constants.m_s: 'heavy' is not a value"):

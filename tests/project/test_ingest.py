@@ -382,7 +382,7 @@ def test_the_unit_of_the_time_is_that_of_the_file(tmp_path: Path, head: str, tit
 def test_a_time_in_a_unit_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("t,f\nmm,N\n" + "".join(f"{n},{n % 7}\n" for n in range(40)))
     rig = rig_file(tmp_path, "  f: {quantity: force}\n", "time: t\nchannels:\n")
-    with pytest.raises(DataError, match=r"run\.csv: 't' is in mm, no unit of time"):
+    with pytest.raises(DataError, match=r"run\.csv: 't' is in mm, which is not a unit of time"):
         ingested(tmp_path, tmp_path / "run.csv", rig)
 
 

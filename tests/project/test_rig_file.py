@@ -231,7 +231,7 @@ def test_the_unit_that_a_file_states_for_its_time_is_one_of_time(stated: str, sc
     if scale is not None:
         assert time_scale("t", {"t": stated}) == scale
         return
-    with pytest.raises(DataError, match=f"run.h5: 't' is in {stated}, no unit of time.*known: s, ms, us"):
+    with pytest.raises(DataError, match=f"run.h5: 't' is in {stated}, which is not a unit.*known: s, ms, us"):
         time_scale("t", {"t": stated}, "run.h5")
 
 

@@ -35,7 +35,7 @@ def test_the_table_stands_in_the_channel(tmp_path: Path) -> None:
         ("frequency_hz,gain,phase_deg\n0,1,0\n", "two or more increasing frequencies"),
         ("frequency_hz,gain,phase_deg\n5,1,0\n5,1,0\n", "two or more increasing frequencies"),
         ("frequency_hz,gain,phase_deg\n0,one,0\n", "is not a frequency, gain and phase"),
-        ("frequency_hz,gain,phase_deg\n0,0,0\n1,1,0\n", "gain 0, phase 0 deg cannot be"),
+        ("frequency_hz,gain,phase_deg\n0,0,0\n1,1,0\n", "impossible: 0 Hz, gain 0, phase 0 deg"),
     ],
 )
 def test_faults_are_named_at_their_key(tmp_path: Path, table: str | None, message: str) -> None:

@@ -193,7 +193,7 @@ def test_a_table_with_a_phase_over_frequency(tmp_path: Path) -> None:
         (TABLE, "", "holds 2 certificates"),
         (TABLE, "D-9", "holds no certificate 'D-9'"),
         (TABLE.replace("coverage_factor", "k"), "D-7", "has no column 'coverage_factor'"),
-        (TABLE.replace("serial", "serial,serial"), "D-7", "double column"),
+        (TABLE.replace("serial", "serial,serial"), "D-7", "repeated column"),
         (TABLE.replace("2027-01-31,\n", "31.1.2027,\n"), "D-7", "is not a day"),
         (TABLE.replace("V/mm,0.4 %", "V/mm,-0.4 %"), "D-7", "is negative"),
         (TABLE.replace("11,mV/N", "11,V/N"), "D-8", "has several units"),

@@ -239,7 +239,7 @@ def test_dates_in_seconds_are_known_to_their_own_digits_only() -> None:
         (lambda t: t + 2e-4 * (np.arange(t.size) % 2), "not equal"),
         (
             lambda t: np.delete(5 * t, [40, 41]),
-            "0.015 s at sample 40, 0.005 s else; 2 .* lost there; cut the",
+            "0.015 s at sample 40, 0.005 s elsewhere; 2 .* lost there; cut the",
         ),
         (
             lambda t: np.repeat(5 * t, np.where(t == 0.02, 2, 1)),

@@ -79,7 +79,7 @@ class PlaneSettings(Settings):
     def __post_init__(self) -> None:
         self.require_positive("radius", "largest")
         if self.first and not self.places:
-            raise SettingError("first", "'first' is of places", "places: 12")
+            raise SettingError("first", "'first' belongs to places", "places: 12")
         if len({round(angle % (2 * np.pi), 9) for angle in self.angles}) < len(self.angles):
             raise SettingError("angles", "an angle is named twice", "name each place once")
         if self.places and self.angles:
@@ -88,7 +88,7 @@ class PlaneSettings(Settings):
             what = "'places' needs a radius, and three places at least"
             raise SettingError("angles" if self.angles else "places", what, "radius: 120 mm")
         if self.largest is not None and not self.at.size:
-            raise SettingError("largest", "'largest' is of places", "places: 12")
+            raise SettingError("largest", "'largest' belongs to places", "places: 12")
 
     @property
     def at(self) -> FloatArray:
@@ -192,7 +192,7 @@ def _floor(node: Marked, unit: str, faults: Faults) -> float:
         faults.add_unit(node, "noise", error)
         return 0.0
     if floor < 0:
-        faults.add(node, "noise", "a scatter is not negative")
+        faults.add(node, "noise", "a scatter cannot be negative")
     return floor
 
 

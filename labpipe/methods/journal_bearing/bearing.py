@@ -192,13 +192,13 @@ class JournalBearing:
             what = f"a wear of {depth:g} um does not fit a clearance of {clearance:g} um"
             raise SettingError("wear", what, "from zero to less than twice the radial clearance")
         if not abs(self.wear_angle) <= np.pi:
-            what = f"a wear angle of {np.degrees(self.wear_angle):g} deg is none"
+            what = f"a wear angle of {np.degrees(self.wear_angle):g} deg is out of range"
             raise SettingError("wear", what, "from -180 to 180 deg from the bottom")
         if not -np.inf < self.cavitation_pressure <= 0:
             what = f"{self.cavitation_pressure:g} Pa is above the ambient pressure"
             raise SettingError("cavitation_pressure", what, "give zero or less")
         if not 0 <= self.groove_width <= WIDEST_GROOVE:
-            what = f"a groove of {np.degrees(self.groove_width):g} deg is none"
+            what = f"a groove of {np.degrees(self.groove_width):g} deg is out of range"
             raise SettingError("groove_width", what, "from 0 to 120 deg, one on either side")
 
     def pressure_scale(self, speed: float) -> float:

@@ -316,8 +316,8 @@ class Session:
         gaps = np.flatnonzero((steps > GAP) | (steps <= 0))
         for place in gaps:
             missing = f"{steps[place] - 1:.0f} samples are missing"
-            what = missing if steps[place] > 0 else "the clock began anew"
-            self.findings.append(Finding("gap", f"{what} at {times[place]:.3f} s; averages begin anew there"))
+            what = missing if steps[place] > 0 else "the clock restarted"
+            self.findings.append(Finding("gap", f"{what} at {times[place]:.3f} s; averages restart there"))
         self._last_time = float(times[-1])
         begin = 0
         for end in (*gaps.tolist(), rows.shape[0]):
@@ -356,7 +356,7 @@ def _unfollowed_finding(fit: str, reason: str, whole: bool) -> Finding:
     instead = "it is made once the test has ended"
     if whole:
         more, early = (f"{100 * (look - 1):.0f} %" for look in (NEXT_LOOK, EARLY_LOOK))
-        instead = "it is made anew of all samples where a goal is due, at the latest after "
+        instead = "it is computed again from all samples where a goal is due, at the latest after "
         instead += f"{more} more ({early} before average {LEAST_WHOLE})"
     return note("not-followed", f"{fit} cannot be followed average by average: {reason}; {instead}")
 

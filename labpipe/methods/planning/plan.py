@@ -65,7 +65,7 @@ FLAT_IS_BEST = (
     "No design tells more than a flat spectrum within these limits: the plan is flat, with phases of least "
     "peak."
 )
-NO_ERRORS = "The earlier result states no errors: how sure the prediction is, is not known."
+NO_ERRORS = "The earlier result states no errors: the uncertainty of the prediction is not known."
 # One direction of force whose errors are more than this times those of x and then y gets a note.
 MUCH_WORSE = 2.0
 # Share of its standard error by which motion that has not died away may shift a coefficient, from which share

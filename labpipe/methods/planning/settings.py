@@ -68,7 +68,7 @@ def check_distinct(settings: Any, *fields: str) -> None:
     for field in fields:
         values = getattr(settings, field)
         if not values or len(set(values)) < len(values):
-            what = "one is there twice" if values else "there is none"
+            what = "one appears twice" if values else "there is none"
             raise SettingError(field, f"{field}: {what}", "candidates differ, and there is one at least")
 
 

@@ -114,7 +114,7 @@ class WearPlanSettings(Settings):
             raise SettingError("expected", "the expected wear is beyond its limits", hint)
         for name, given in self.nuisances.items():
             if not given.std_error > 0:
-                hint = "90 um +- 2 %; what is certain belongs into the rotor file"
+                hint = "90 um +- 2 %; what is certain belongs in the rotor file"
                 raise SettingError(name, f"{name} has no uncertainty", hint)
         if self.rig is not None:
             worn_place(self.rig, self.bearing)

@@ -146,7 +146,7 @@ class SystemTest(Settings):
             if number.std_error <= 0:
                 raise UnitError(f"'{stated}' needs its uncertainty", f"write {stated} +- 2 %")
             if places in [other[:2] for other in read]:
-                raise UnitError(f"'{path}' stands there twice", "write one deflection of each pair")
+                raise UnitError(f"'{path}' appears twice", "write one deflection of each pair")
             read.append((*places, number))
         return read
 

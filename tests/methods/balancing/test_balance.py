@@ -339,7 +339,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
             {"planes": {"left": {"radius": "0 mm"}, "right": {}}},
             "planes.left.radius: radius must be positive",
         ),
-        ({"planes": {"left": {"first": "9 deg"}, "right": {}}}, "'first' is of places"),
+        ({"planes": {"left": {"first": "9 deg"}, "right": {}}}, "'first' belongs to places"),
         (
             {"planes": {"left": {"angles": ["0 deg", "360 deg", "9 deg"], "radius": "1 m"}, "right": {}}},
             "an angle is named twice",

@@ -37,7 +37,7 @@ def test_grooves_of_twenty_degrees_give_the_printed_coefficients(labpipe, tmp_pa
 def test_a_groove_in_plain_numbers_or_too_wide_is_refused_with_its_place(labpipe, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     for text, said in (
         ("groove_width: 20", "has no unit"),
-        ("groove_width: 150 deg", "a groove of 150 deg is none"),
+        ("groove_width: 150 deg", "a groove of 150 deg is out of range"),
     ):
         path = tmp_path / "wrong.yaml"
         path.write_text(BEARING.replace("groove_width: 20 deg", text))

@@ -109,7 +109,7 @@ def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:
         ({"bands": ["60-130 Hz"]}, "between 0 and half the sampling rate"),
         ({"run": "4 s"}, "two blocks or more"),
         ({"bands": []}, "bands: there is none"),
-        ({"speeds": ["50 Hz", "3000 rpm"]}, "speeds: one is there twice"),
+        ({"speeds": ["50 Hz", "3000 rpm"]}, "speeds: one appears twice"),
         ({"bands": ["49.9-50.1 Hz"]}, "no line is left between 49.9 and 50.1 Hz"),
         ({"expected": {"depth": "20 um", "angle": "40 deg"}}, "beyond its limits"),
         ({"goal": {"depth": "0 um"}}, "depth must be positive"),

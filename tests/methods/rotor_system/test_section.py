@@ -194,7 +194,7 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
         (
             {"tests.4.deflections": {"5 z / 10 z": "0.3 um/N +- 1 %", "5z/10z": "0.4 um/N +- 1 %"}},
             "rotor_system.tests.5.deflections",
-            "'5z/10z' stands there twice",
+            "'5z/10z' appears twice",
         ),
         ({"rotor_system": {"balance_speeds": ["0 Hz"]}}, "rotor_system.balance_speeds", "above zero"),
         ({"rotor_system": {"small_errors": {"phase": "-1 deg"}}}, "phase", "must not be negative"),
