@@ -9,8 +9,6 @@ import ast
 import functools
 import re
 from collections import Counter
-import re
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,12 +22,6 @@ LONGEST_BODY, USUAL_BODY, MEDIAN_BODY = 60, 30, 10
 # The one protocol that every linear model of a response fulfils.
 MANY_METHODS = {"DynamicModel": 11}
 HOMELESS = {"utils", "helpers", "common", "core", "base", "misc", "tools"}
-# A name of one word in this form says what was done, not what is done or what comes out.
-PARTICIPLE = re.compile(
-    r"_?([a-z]+ed|apart|built|chosen|done|drawn|found|given|grown|held|kept|known|left|made|said|seen|sent|shown"
-    r"|spent|taken|told|written)"
-)
-NOUNS_IN_ED = {"feed", "need", "seed", "speed"}
 # A name of one word in this form says what was done, not what is done or what comes out.
 PARTICIPLE = re.compile(
     r"_?([a-z]+ed|apart|built|chosen|done|drawn|found|given|grown|held|kept|known|left|made|said|seen|sent|shown"
@@ -86,27 +78,6 @@ def test_classes_have_few_methods() -> None:
             methods = [node for node in owner.body if isinstance(node, ast.FunctionDef)]
             own = [one.name for one in methods if not one.name.startswith("_") and not one.decorator_list]
             assert len(own) <= MANY_METHODS.get(owner.name, 10), (name_of(path), owner.name, own)
-
-
-def test_no_two_classes_have_one_name() -> None:
-    names = Counter(
-        node.name for path in MODULES for node in nodes(tree_of(path)) if isinstance(node, ast.ClassDef)
-    )
-    assert [name for name, count in names.items() if count > 1] == []
-
-
-def test_functions_that_compute_are_verbs_or_nouns() -> None:
-    """Properties and answers of yes or no may say in which state something is."""
-    named = [
-        f"{name_of(path)}.{function.name}"
-        for path in MODULES
-        for function in functions(tree_of(path))
-        if PARTICIPLE.fullmatch(function.name)
-        and function.name.strip("_") not in NOUNS_IN_ED
-        and not any("property" in ast.unparse(decorator) for decorator in function.decorator_list)
-        and not (function.returns and ast.unparse(function.returns) == "bool")
-    ]
-    assert named == []
 
 
 def test_no_two_classes_have_one_name() -> None:

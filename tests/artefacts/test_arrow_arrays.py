@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from labpipe.artefacts.parquet import arrow_array, numpy_array
+from tests.cli.test_imports import LAZY
 
 
 @pytest.mark.parametrize("kind", ["f8", "f4", "i8", "i4", "u2"])
@@ -41,6 +42,7 @@ def test_what_is_no_plain_number_is_converted_by_pyarrow() -> None:
     np.testing.assert_array_equal(numpy_array(pa.array([1.0, None])), [1.0, np.nan])
 
 
+@LAZY
 def test_pandas_is_not_imported() -> None:
     script = (
         "import sys, numpy as np, pyarrow as pa; from labpipe.artefacts.parquet import arrow_array, "

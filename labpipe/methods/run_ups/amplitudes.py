@@ -16,7 +16,6 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, FloatArray, IntArray
-from labpipe.errors import ConfigError
 from labpipe.methods.rotor.pinned import CoefficientsAtSpeed
 from labpipe.methods.rotor.posterior import rank_of
 from labpipe.methods.run_ups import rotor
@@ -116,8 +115,8 @@ def cobyqa_search(
     upper: FloatArray,
     limits: SearchLimits = USUAL,
 ) -> SearchResult:
-    """By COBYQA (Ragonneau 2022; ConfigError where scipy is older than 1.14), without a mesh (NaN); *start*,
-    *lower*, *upper* (n_problem, n_parameter) [parameter units].
+    """By COBYQA (Ragonneau 2022), without a mesh (NaN); *start*, *lower*, *upper* (n_problem, n_parameter)
+    [parameter units].
     """
     width = upper - lower
     traces = [_trace(objective, n, start[n], lower[n], width[n], limits) for n in range(start.shape[0])]
@@ -156,15 +155,9 @@ def _trace(
     radii = {"initial_tr_radius": limits.first_mesh, "final_tr_radius": limits.smallest_mesh}
     options: Any = {**radii, "maxfev": limits.most_evaluations, "f_target": limits.target_share}
     bounds = scipy.optimize.Bounds(np.zeros(start.size), np.ones(start.size))
-    try:
-        outcome = scipy.optimize.minimize(
-            scale, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
-        )
-    except ValueError as error:
-        if "Unknown solver" not in str(error):
-            raise
-        hint = "install scipy 1.14 or newer, or search by method: pattern"
-        raise ConfigError("this scipy has no COBYQA", hint=hint) from error
+    outcome = scipy.optimize.minimize(
+        scale, (start - lower) / width, method="COBYQA", bounds=bounds, options=options
+    )
     return np.array(points), np.array(objectives), not outcome.success
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from labpipe.errors import ConfigError
@@ -129,9 +130,11 @@ def test_a_rig_without_a_loop_has_no_such_runs() -> None:
 def test_shipped_recordings_are_what_the_command_makes(root: Path, tmp_path: Path, labpipe) -> None:
     rig = root / "configs/virtual-hmb-loop.yaml"
     assert labpipe("simulate", rig, "--seed", "1", "--run", "gain-1.1", "-o", tmp_path).code == 0
-    assert (tmp_path / "gain-1.1.parquet").read_bytes() == (
-        root / "sample_data/hmb-loop/gain-1.1.parquet"
-    ).read_bytes()
+    # Not byte by byte: every version of pyarrow writes its own name into the file.
+    made, shipped = (
+        pq.read_table(folder / "gain-1.1.parquet") for folder in (tmp_path, root / "sample_data/hmb-loop")
+    )
+    assert made.equals(shipped, check_metadata=True)
     assert sum(path.stat().st_size for path in (root / "sample_data/hmb-loop").iterdir()) < 800_000
 
 

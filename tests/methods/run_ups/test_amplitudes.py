@@ -22,7 +22,6 @@ from labpipe.methods.run_ups.records import StartSpread
 from labpipe.methods.run_ups.rotor import as_eight, as_matrices, largest_displacement
 from labpipe.methods.run_ups.virtual_rig import run_ups, true_coefficients
 from tests.methods.run_ups.run_up_cases import RIG, trained, virtual
-from tests.methods.run_ups.test_pattern_search import NEWER
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +180,6 @@ def test_all_runs_of_a_load_count() -> None:
 
 
 @pytest.mark.long
-@NEWER
 def test_cobyqa_meets_the_same_amplitudes() -> None:
     run = trained("outside")[1]
     part = slice(5, 6)

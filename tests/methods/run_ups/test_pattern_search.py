@@ -6,17 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import scipy
 
-from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.amplitudes import SEARCHES, SearchLimits, cobyqa_search, compass_search
 
 CENTRES = np.array([[0.2, -0.4], [0.7, 0.1], [-0.3, 0.6]])
 WEIGHTS = np.array([1.0, 7.0])
 LOW, HIGH = np.full((3, 2), -1.0), np.full((3, 2), 1.0)
-RELEASE = tuple(int(part) for part in scipy.__version__.split(".")[:2])
-NEWER = pytest.mark.skipif(RELEASE < (1, 14), reason="COBYQA came with scipy 1.14")
-NAMES = [pytest.param(name, marks=NEWER if name == "cobyqa" else ()) for name in SEARCHES]
 FINE = SearchLimits(smallest_mesh=1e-7, target_share=0.0)
 
 
@@ -54,7 +49,7 @@ def plain_compass(objective, x: np.ndarray, low: np.ndarray, high: np.ndarray, l
     return x, rows
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", list(SEARCHES))
 def test_every_search_finds_the_bottom_of_every_bowl(name: str) -> None:
     found = SEARCHES[name](bowls, np.zeros((3, 2)), LOW, HIGH, FINE)
     np.testing.assert_allclose(found.values, CENTRES, atol=2e-5)
@@ -62,7 +57,7 @@ def test_every_search_finds_the_bottom_of_every_bowl(name: str) -> None:
     assert not np.any(found.capped)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", list(SEARCHES))
 def test_a_minimum_outside_the_box_is_met_on_its_bound(name: str) -> None:
     """min (x - .7)^2 over x <= .5: the bound itself."""
     found = SEARCHES[name](bowls, np.zeros((3, 2)), LOW, np.full((3, 2), 0.5), FINE)
@@ -139,7 +134,6 @@ def test_a_problem_that_ended_is_asked_no_more() -> None:
     assert found.history.of(0).objective.shape[0] < found.history.objective.shape[0]
 
 
-@NEWER
 def test_cobyqa_keeps_its_trace() -> None:
     found = cobyqa_search(bowls, np.zeros((3, 2)), LOW, HIGH, SearchLimits(target_share=0.0))
     assert np.all(np.diff(found.history.objective, axis=0) <= 0)
@@ -154,12 +148,3 @@ def test_cobyqa_keeps_its_trace() -> None:
         SearchLimits(most_evaluations=15),
     )
     assert short.capped.all() and short.evaluations[0] <= 16
-
-
-def test_a_scipy_without_cobyqa_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unknown(*_: object, **__: object) -> None:
-        raise ValueError("Unknown solver COBYQA")
-
-    monkeypatch.setattr(scipy.optimize, "minimize", unknown)
-    with pytest.raises(ConfigError, match="no COBYQA"):
-        cobyqa_search(bowls, np.zeros((3, 2)), LOW, HIGH)
