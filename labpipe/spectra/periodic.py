@@ -28,6 +28,7 @@ from labpipe.spectra.period_average import (
     RestMotion,
     excited_lines,
     is_unsettled,
+    jump_finding,
     neighbourhood_mean,
     samples_per_period,
     settling_finding,
@@ -216,12 +217,13 @@ def period_average(
     source: SampleSource, settings: FrfSettings
 ) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
     """The averaged lines of one recording in the band, those of the first half of its periods, and
-    findings: motion that had not settled, a rest position that creeps.
+    findings: motion that had not settled, a rest position that creeps, periods that change at once.
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     average, spectrum, half = _average(source, settings, n_sample)
     findings = settling_finding(average.differences, source.channels, source.name, settings.skip)
+    jumps = () if findings else jump_finding(average, source, settings.skip)
     creep = None if findings else average.creep(spectrum)
     if creep is not None:
         average, spectrum, half = _average(source, settings, n_sample, creep)
@@ -231,7 +233,7 @@ def period_average(
         _, spectrum, half = _average(source, settings, n_sample, creep, n_beside)
         findings = (*findings, _beside_note(source, settings.period))
     chosen = select_lines(spectrum.frequency, settings)
-    return spectrum.select(chosen), None if half is None else half.select(chosen), findings
+    return spectrum.select(chosen), None if half is None else half.select(chosen), (*findings, *jumps)
 
 
 def _average(
