@@ -293,7 +293,8 @@ class EachFile:
         """The test of a recording, named after its file. ConfigError where the pattern does not match."""
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
-            raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
+            where, hint = f"pattern '{self.pattern}'", "for example '{preload}-{direction}'"
+            raise ConfigError(f"does not match '{stem}'", where, hint)
         conditions = {**self.conditions, **self.conditions_in_name(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
 

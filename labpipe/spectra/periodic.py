@@ -41,13 +41,14 @@ from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
 
-def no_line(acting: BoolArray) -> DataError:
-    """The fault of forces that act, by *acting* (n_line, n_force), on no line together."""
+def no_line(acting: BoolArray, names: Sequence[str] = ()) -> DataError:
+    """The fault of forces, by their *names*, that act, by *acting* (n_line, n_force), on no line together."""
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         return DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    hint = "check `period` and `band`, or raise the level"
-    return DataError("no line of the force exceeds its noise", hint=hint)
+    silent = "".join(f" {name}" for name, acts in zip(names, acting.T, strict=False) if not np.any(acts))
+    hint = "check `period` and `band`, or raise the level; a channel that drives nothing is a `reference`"
+    return DataError(f"no line of the force{silent} exceeds its noise", hint=hint)
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -66,7 +67,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
-        raise no_line(acting)
+        raise no_line(acting, [port.label for port in layout.inputs])
     n_input = len(layout.inputs)
     mean = np.stack([layout.pad(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
