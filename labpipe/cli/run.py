@@ -113,7 +113,8 @@ def check(
         wrong = [outcome for outcome in outcomes if not outcome.passed]
         failed += len(wrong)
         if not quiet:
-            echo(f"{path}: {len(outcomes) - len(wrong)} of {len(outcomes)} rules hold")
+            hold = f"{len(outcomes) - len(wrong)} of {len(outcomes)} rules hold"
+            echo(f"{path}: {hold if outcomes else 'no rules under expect: or accept:, nothing was judged'}")
         for outcome in wrong:
             echo(f"{path}: {outcome.section}: {outcome.rule} fails, found {outcome.found}")
     return 1 if failed else 0

@@ -402,15 +402,15 @@ def delay_finding(
     return Finding("delay", message)
 
 
-# A drift that matters is far beyond chance.
-DRIFT_P = 1e-3
+# A drift that matters is far beyond chance; a gain that changes by more [1] is that of a lost signal.
+DRIFT_P, LOST = 1e-3, 1.0
 # Singular values of shapes below which they are one: a common gain of all outputs is that of all forces.
 SAME_SHAPE = 1e-8
 KINDS = {"N/m": "all stiffness", "N.s/m": "all damping"}
 
 
-# Name of what changes by 100 %, and the whitened change of H (n_equation,) [1].
-_Shape = tuple[str, FloatArray]
+# What changes by 1 or 1 s, the unit in which it is shown, and the whitened change of H (n_equation,) [1].
+_Shape = tuple[str, str, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -431,7 +431,7 @@ def drift_findings(
     """A finding where the halves of the record differ by more than noise; *values* (n_parameter,) [parameter
     units] of the fit.
 
-    Shapes: the gain of every channel, all stiffness or all damping by one factor, and all parameters
+    Shapes: gain and delay of every channel, all stiffness or all damping by one factor, and all parameters
     together; p-values are for the best of all in *n_band* bands (Bonferroni). None where the halves or the
     noise are not known. Equation (est-drift).
     """
@@ -444,22 +444,26 @@ def drift_findings(
     except FitError:
         return []
     change = whiten_values(whiten, measured.change)
-    shapes = [*_kinds(jacobian, model, values), *_gains(measured, whiten, fitted)]
-    chance = _chance(change, np.vstack([jacobian, *(shape for _, shape in shapes)]), measured)
+    shapes = [*_kinds(jacobian, model, values), *_of_channels(measured, whiten, fitted)]
+    chance = _chance(change, np.vstack([jacobian, *(shape for *_, shape in shapes)]), measured)
     if chance is None:
         return []
-    tests = [(chance.p_value(_along(change, shape) ** 2, 1), name, shape) for name, shape in shapes]
-    best, name, shape = min(tests, key=lambda entry: entry[0])
+    # By what it explains: the p-values of large drifts are all zero.
+    name, unit, shape = max(shapes, key=lambda entry: abs(_along(change, entry[-1])))
+    best = chance.p_value(_along(change, shape) ** 2, 1)
     basis = _basis(jacobian)
     together = chance.p_value(float(np.sum((basis @ change) ** 2)), basis.shape[0])
-    p_value = min(1.0, min(best, together) * (len(tests) + 1) * n_band)
+    p_value = min(1.0, min(best, together) * (len(shapes) + 1) * n_band)
     if p_value >= DRIFT_P:
         return []
     if best <= together:
         length = float(np.linalg.norm(shape))
         amount, error = _along(change, shape) / length, np.sqrt(chance.variance) / length
-        by = change_text(100 * amount, 100 * error, "%")
-        text = f"it looks like {name} changed by {by}"
+        text = f"it looks like {name} changed by {_change(amount, error, unit)}"
+        if unit == "s":
+            text += ", as where the clocks of two loggers run apart"
+        elif abs(amount) > LOST and "gain" in name:
+            text += " of its mean: in one half its signal is hardly there"
     else:
         text = _parameter_cause(jacobian, model, values, change, chance)
     message = (
@@ -476,16 +480,23 @@ def _kinds(jacobian: FloatArray, model: FittedModel, values: FloatArray) -> list
         name: [number for number, other in enumerate(model.units) if other == unit and values[number] != 0]
         for unit, name in KINDS.items()
     }
-    return [(name, values[chosen] @ jacobian[chosen]) for name, chosen in places.items() if chosen]
+    return [(name, "%", values[chosen] @ jacobian[chosen]) for name, chosen in places.items() if chosen]
 
 
-def _gains(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
+def _of_channels(measured: Measured, whiten: np.ndarray, fitted: np.ndarray) -> list[_Shape]:
+    """Gain and delay of every channel; of one output and one input only what is between them is seen."""
     outputs, inputs = ([port.channel for port in ports] for ports in (measured.outputs, measured.inputs))
-    if len(outputs) == len(inputs) == 1:
-        return [(f"the gain of {outputs[0]} or {inputs[0]}", whiten_values(whiten, fitted))]
     rows, columns = np.eye(len(outputs))[:, None, :, None], np.eye(len(inputs))[:, None, None, :]
-    masks = [*zip(outputs, rows, strict=True), *zip(inputs, columns, strict=True)]
-    return [(f"the gain of {name}", whiten_values(whiten, fitted * mask)) for name, mask in masks]
+    # A force that shows more, or late, makes the response to it smaller, or early.
+    masks = [*zip(outputs, rows, strict=True), *zip(inputs, -columns, strict=True)]
+    if len(masks) == 2:
+        masks = [(f"{outputs[0]} or {inputs[0]}", np.ones(1))]
+    late = -1j * measured.omega[:, None, None] * fitted
+    return [
+        (f"the {what} of {name}", unit, whiten_values(whiten, change * mask))
+        for what, unit, change in (("gain", "%", fitted), ("delay", "s", late))
+        for name, mask in masks
+    ]
 
 
 def _basis(shapes: FloatArray) -> FloatArray:

@@ -80,7 +80,7 @@ def with_feedback(fit: Fit, measured: Sequence[Finding]) -> Fit:
 
 
 # Findings of a recording that make every number of it wrong by an amount that no residual shows.
-LOST_SAMPLES = ("clipped", "gap")
+LOST_SAMPLES = ("clipped", "gap", "jump")
 
 
 def with_cautions(fit: Fit, measured: Sequence[Finding]) -> Fit:

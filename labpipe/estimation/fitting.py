@@ -455,14 +455,15 @@ def _contradict(
 ) -> tuple[tuple[Finding, ...], dict[str, float]]:
     """Findings on stated numbers that the data contradict, and by what their uncertainty grows, where
     chi-square then is that of noise, or most of its excess is gone: else something else is wrong. Not in
-    sliding bands, where stiffness that changes with frequency looks like another mass.
+    sliding bands, where stiffness that changes with frequency looks like another mass, nor of a wrong sign.
     """
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
     most = (1 - causes.EXPLAINED) * (before - 1)
     unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > most
-    if settings.sliding is not None or unexplained:
+    turned = not case.setup.closed_loop and diagnostics.sign_findings(case.measured)
+    if settings.sliding is not None or unexplained or turned:
         return (), {}
     mass = mass_uncertainty(settings)
     values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]

@@ -269,7 +269,11 @@ class DynamicModel:
         """K, C, M and B of every term and of the constants as rows, whose sum is one matrix product."""
         every = (*(term.matrices for term in self.terms), self.constant)
         parts = [(m.stiffness, m.damping, m.mass, m.force) for m in every]
-        return np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
+        joined = np.array([np.concatenate([matrix.reshape(-1) for matrix in row]) for row in parts])
+        if joined.dtype.kind not in "fc":
+            hint = "of a plug-in: settings.mass is 'estimate' where no mass is given"
+            raise ConfigError(f"model {self.name} has matrices that do not hold numbers", hint=hint)
+        return joined
 
     @cached_property
     def acting(self) -> dict[str, ActingTerms | None]:

@@ -221,8 +221,9 @@ class FitSettings(Settings):
         if kind.settings is None and self.model_settings is not None:
             what = f"model {self.model} has no settings of its own"
             raise ConfigError(what, hint="leave model_settings out")
-        if kind.settings is not None and kind.optional and self.model_settings is None:
-            object.__setattr__(self, "model_settings", kind.settings())
+        section = {} if kind.optional and self.model_settings is None else self.model_settings
+        if kind.settings is not None and isinstance(section, dict):
+            object.__setattr__(self, "model_settings", kind.settings(**section))
         if kind.settings is not None and not isinstance(self.model_settings, kind.settings):
             raise ConfigError(f"model {self.model} needs the section '{kind.section}'", hint=kind.example)
 

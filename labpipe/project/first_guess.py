@@ -175,6 +175,10 @@ def guess_channels(
     return [_along(channel, outputs) for channel in guessed]
 
 
+# Standard deviation over mean below which a force is none that drives.
+STATIC = 0.02
+
+
 def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
     """The channels of *rows* (n_sample, n_channel) [recorded units], where none is a force the shortest hits
     of an unknown quantity, or of volts, as one: what a hit excites lasts longer.
@@ -188,6 +192,20 @@ def with_hammer(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[G
     if not lengths or any(channel.role == "input" for channel in channels):
         return tuple(channels)
     return as_force(channels, min(lengths, key=lengths.__getitem__), "a force by its hits, which is a guess")
+
+
+def without_static_forces(channels: Sequence[GuessedChannel], rows: FloatArray) -> tuple[GuessedChannel, ...]:
+    """The channels of *rows* (n_sample, n_channel) [recorded units], where one force varies those that hardly
+    do beside their mean, as a preload, as references: they drive nothing.
+    """
+    static = np.std(rows, axis=0) < STATIC * np.abs(np.mean(rows, axis=0))
+    drives = [channel.role == "input" for channel in channels]
+    if np.all(static[drives]):
+        return tuple(channels)
+    return tuple(
+        replace(c, role="reference") if drive and is_static else c
+        for c, drive, is_static in zip(channels, drives, static, strict=True)
+    )
 
 
 def as_force(channels: Sequence[GuessedChannel], number: int, guess: str) -> tuple[GuessedChannel, ...]:

@@ -75,7 +75,8 @@ def first_look(table: RawTable) -> FirstLook:
     sensitivities = getattr(table, "sensitivities", {})
     channels = first_guess.guess_channels([names[n] for n in chosen], table.units, sensitivities)
     signals = rows[:, chosen]
-    guessed = _with_sweep(first_guess.with_hammer(channels, signals), signals, rate)
+    driven = first_guess.without_static_forces(channels, signals)
+    guessed = _with_sweep(first_guess.with_hammer(driven, signals), signals, rate)
     return FirstLook(guessed, rate, time, signals, unused)
 
 

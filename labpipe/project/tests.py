@@ -14,7 +14,7 @@ from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra import settings as spectra_settings
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ class Test:
     frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: FrfSettings | None = None
+    frf: spectra_settings.FrfSettings | None = None
     repeats: str = ""
 
 
@@ -281,7 +281,7 @@ class EachFile:
 
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: FrfSettings | None = None
+    frf: spectra_settings.FrfSettings | None = None
     pattern: str = ""
     repeats: str = ""
 
@@ -293,7 +293,8 @@ class EachFile:
         """The test of a recording, named after its file. ConfigError where the pattern does not match."""
         stem = settings_reader.plain_stem(source.path)
         if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
-            raise ConfigError(f"does not match '{stem}'", hint="for example '{preload}-{direction}'")
+            where, hint = f"pattern '{self.pattern}'", "for example '{preload}-{direction}'"
+            raise ConfigError(f"does not match '{stem}'", where, hint)
         conditions = {**self.conditions, **self.conditions_in_name(source.path)}
         return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
 
@@ -416,16 +417,22 @@ class TestReader:
             self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
         return repeats
 
-    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
-        """The pipeline's frf: with the test's own entries. One without a value takes it away."""
+    def _frf(self, entries: dict[str, Marked], key: str) -> spectra_settings.FrfSettings | None:
+        """The pipeline's frf: with the test's own entries, of which one without a value takes it away; of
+        another excitation only what that takes as well.
+        """
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
         frf_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
-        both = {**(common if isinstance(common, dict) else {}), **frf_of_test}
+        others = spectra_settings.KEYS.get(text_of(frf_of_test, "excitation"), common)
+        inherited = common.items() if isinstance(common, dict) else ()
+        both = {**{name: node for name, node in inherited if name in others}, **frf_of_test}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
-        return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
+        return settings_reader.read_settings(
+            spectra_settings.FrfSettings, node, settings_reader.join(key, "frf"), self.faults
+        )
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.faults).sources(node, key)

@@ -124,6 +124,7 @@ class Watch:
     def __post_init__(self) -> None:
         self._done: set[str] = set()
         self._seen: dict[Path, Arrived] = {}
+        self._worked: dict[Path, Arrived] = {}
         self._paths: dict[str, Path] = {}
         # Tests by the file name of their results.
         self._files: dict[str, str] = {}
@@ -187,13 +188,24 @@ class Watch:
 
     def _iterate_arrivals(self) -> Iterator[Arrived]:
         home = self.home or self.results
-        arrivals = arrived_in(self.folder, self.settings.names, self.settings.marker)
-        new = (
-            arrival
-            for arrival in arrivals
-            if home not in arrival.path.parents and self.name_of(arrival.path) not in self._done
-        )
+        new = []
+        for arrival in arrived_in(self.folder, self.settings.names, self.settings.marker):
+            if home not in arrival.path.parents:
+                if self.name_of(arrival.path) in self._done:
+                    self._tell_changed(arrival)
+                else:
+                    new.append(arrival)
         return iter(sorted(new, key=lambda arrived: (arrived.changed, arrived.path)))
+
+    def _tell_changed(self, arrival: Arrived) -> None:
+        """Say once of a recording that it was not complete when it was worked on."""
+        before = self._worked.get(arrival.path, arrival)
+        if (before.size, before.changed) != (arrival.size, arrival.changed):
+            self._worked[arrival.path] = arrival
+            remark = f"changed after it was worked on, {before.size} to {arrival.size} bytes: its result is "
+            remark += "not that of the whole recording; a longer --settle, or --marker"
+            self._log("changed", self.name_of(arrival.path), remark=remark)
+            self.tell(f"{self.name_of(arrival.path)}: {remark}")
 
     def name_of(self, path: Path) -> str:
         """The name of the test of a recording: its path below the folder."""
@@ -206,6 +218,7 @@ class Watch:
         with output_folder(self.results) as folder:
             jobs: dict[str, Job] = {}
             for arrived in complete:
+                self._worked[arrived.path] = arrived
                 try:
                     job = self._job(arrived.path, folder.staging)
                 except LabpipeError as error:

@@ -310,8 +310,33 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> TextLayout:
     return TextLayout(encoding, delimiter, decimal, names, units, first, stamps, texts)
 
 
+# Bytes of the end of a file, and rows there, of equal decimals and of any, beside which the last one is held.
+TAIL_BYTES, EQUAL_ROWS, ANY_ROWS = 1 << 16, 10, 200
+
+
+def check_last_number(path: Path, layout: TextLayout) -> None:
+    """DataError where the last line has no end, and its last number fewer decimals than all before: what is
+    left of a number that was cut reads as another one.
+    """
+    if path.suffix.lower() in PACKED:
+        return
+    with path.open("rb") as stream:
+        stream.seek(-min(TAIL_BYTES, path.stat().st_size), io.SEEK_END)
+        *rows, last = stream.read().decode(layout.encoding, errors="ignore").split("\n")
+    n_field, after = len(layout.names), f"{re.escape(layout.decimal)}(.*)"
+    ends = (*rows[1:], last) if last.strip() else ()
+    fields = [fields_of(row.rstrip("\r"), layout.delimiter) for row in ends]
+    found = [re.search(after, row[-1].strip()) for row in fields if len(row) == n_field and row[-1].strip()]
+    *before, ending = [len(match[1]) if match else 0 for match in found] or [0]
+    enough = EQUAL_ROWS if len(set(before)) == 1 else ANY_ROWS
+    if len(before) >= enough and len(fields[-1]) == n_field and ending < min(before):
+        what = f"ends within its last number, '{fields[-1][-1].strip()[:40]}'"
+        raise DataError(what, path, "the file is cut off; copy it again, or delete its last line")
+
+
 def rows_of_fields(path: Path, layout: TextLayout) -> Iterator[tuple[int, list[str]]]:
-    """Line number and fields of every row. DataError for one with more or fewer fields than names."""
+    """Line number and fields of every row. DataError for other fields than names, or one that is cut."""
+    check_last_number(path, layout)
     with open_text(path, layout.encoding) as lines:
         for number, line in enumerate(lines, 1):
             if number <= layout.first_line or not line.strip():
@@ -491,8 +516,9 @@ class CsvTable:
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:
         """Consecutive chunks (n, n_column) [unit of the file], a column beside the other. DataError names
-        line and column of the first row that is not numbers.
+        line and column of the first row that is not numbers, or a last number that is cut.
         """
+        check_last_number(self.path, self.layout)
         try:
             with self._bytes() as source:
                 yield from self._rows(source, columns, self.layout.first_line, self._new_clocks())

@@ -15,7 +15,7 @@ from scipy import fft, special
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.finding import Finding
-from labpipe.records.recording import Channel
+from labpipe.records.recording import Channel, SampleSource
 from labpipe.spectra.channels import columns_of
 
 # Level of the F-test by which a line's noise exceeds that of its neighbours, as at the speed of a shaft.
@@ -128,6 +128,8 @@ class RestMotion:
 # of neighbouring periods then fall exponentially to the level of noise; in groups of lines, since free motion
 # stands on a few, beside a resonance.
 
+# A jump: the square of a difference over the usual one, and over the signal's.
+FAR_BEYOND, LEAST_JUMP = 100.0, 1e-3
 # Groups of lines, the least lines of one, and the differences from which on something can be told.
 GROUPS, GROUP_LINES, FEWEST = 16, 4, 4
 # Chance of a finding on a sound record, and degrees of freedom of the expected scatter beside what is seen.
@@ -191,6 +193,20 @@ class Differences:
             )
         return unsettled
 
+    def jumps(self) -> dict[int, tuple[int, float]]:
+        """Channels whose periods change at once: the number of the period there after the transient ones, and
+        by what share of the signal [1].
+        """
+        if len(self._squares) < FEWEST:
+            return {}
+        squares, signal = np.sum(self._squares, axis=1), self._signal.sum(axis=0)
+        far = np.maximum(FAR_BEYOND * np.median(squares, axis=0), LEAST_JUMP * signal)
+        largest = np.argmax(squares, axis=0)
+        return {
+            int(n): (int(largest[n]) + 1, float(np.sqrt(squares[largest[n], n] / signal[n])))
+            for n in np.flatnonzero((squares.max(axis=0) > far) & (signal > 0))
+        }
+
     def _falling(self, logs: FloatArray) -> BoolArray:
         """Whether the first of *logs* (n_difference, n_group, n_channel) is far above others, or all fall."""
         n, half = len(logs), len(logs) - len(logs) // 2
@@ -232,6 +248,26 @@ def settling_finding(
         "longer before the record begins"
     )
     return (Finding("not-settled", what),)
+
+
+def jump_finding(average: PeriodAverage, source: SampleSource, skip: int) -> tuple[Finding, ...]:
+    """A warning where periods of the recording *source* change at once after *skip* transient ones."""
+    channels, jumps = source.channels, average.differences.jumps()
+    if not jumps:
+        return ()
+    column = max(jumps, key=lambda number: jumps[number][1])
+    number, share = jumps[column]
+    names = ", ".join(channels[number].name for number in jumps)
+    cause = "a connector, a range that cuts off, or a knock"
+    if any(channels[number].role == "input" for number in jumps):
+        cause = "samples were lost, or what drives the force began anew"
+    what = (
+        f"recording '{source.name}': the periods of {names} change at once near "
+        f"{(skip + number) * average.n_sample / source.sample_rate:.4g} s, {channels[column].name} by "
+        f"{share:.2g} times its signal: {cause}. The mean is over what was before and after; evaluate "
+        "these parts as recordings of their own"
+    )
+    return (Finding("jump", what),)
 
 
 # Periods that are added to the lines of the whole record together.
@@ -280,7 +316,7 @@ class PeriodAverage:
         Hz; *creep* is subtracted. Of *n_due* periods after the transient ones the noise may be that of
         *n_beside* lines of the whole record to either side.
         """
-        self._n_sample, self._cut = n_sample, PeriodCut(n_sample)
+        self.n_sample, self._cut = n_sample, PeriodCut(n_sample)
         self._lines = lines
         self._line_numbers = np.arange(n_sample // 2 + 1)[lines]
         self._skip = skip
@@ -311,8 +347,8 @@ class PeriodAverage:
         whole = period - self._levels[0]
         period = period - level
         if self._creep is not None:
-            whole = period = period - self._creep.within(self.n_period, self._n_sample)
-        amplitude = fft.rfft(period.T, axis=1)[:, self._lines].T * (2 / self._n_sample)
+            whole = period = period - self._creep.within(self.n_period, self.n_sample)
+        amplitude = fft.rfft(period.T, axis=1)[:, self._lines].T * (2 / self.n_sample)
         if self._n_beside:
             self._add_beside(whole)
         elif len(self._beside):
@@ -337,7 +373,7 @@ class PeriodAverage:
 
     def _add_beside(self, period: FloatArray) -> None:
         """Add the next *period* (n, n_channel) [unit of the channel] to the lines of the whole record."""
-        n = self._n_sample
+        n = self.n_sample
         time = self.n_period / self._n_due + np.arange(n) / (n * self._n_due)
         for number in range(self._n_beside):
             turned = fft.fft(period.T * np.exp(-2j * np.pi * (number + 1) * time), axis=1).T * (2 / n)
@@ -387,7 +423,7 @@ class PeriodAverage:
         if self.n_period < 2:
             return None
         motion = RestMotion.of(np.array(self._levels))
-        seen = motion.find_seen(spectrum, self._n_sample, self._line_numbers)
+        seen = motion.find_seen(spectrum, self.n_sample, self._line_numbers)
         return RestMotion(motion.slope * seen, motion.bend * seen) if np.any(seen) else None
 
     def spectrum(self, sample_rate: float) -> LineSpectrum:
@@ -398,10 +434,10 @@ class PeriodAverage:
         if n == 0:
             raise DataError(
                 "the recording is too short for one period after the transient ones",
-                hint=f"a period is {self._n_sample / sample_rate:g} s; shorten `skip` or `period`, or "
+                hint=f"a period is {self.n_sample / sample_rate:g} s; shorten `skip` or `period`, or "
                 "record longer",
             )
-        frequency = self._line_numbers * (sample_rate / self._n_sample)
+        frequency = self._line_numbers * (sample_rate / self.n_sample)
         noise, dof = None if n == 1 else self._scatter / (n * (n - 1)), n - 1.0
         if self._n_beside and n == self._n_due:
             beside, dof = self._beside / n, float(len(self._beside))

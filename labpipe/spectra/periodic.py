@@ -28,6 +28,7 @@ from labpipe.spectra.period_average import (
     RestMotion,
     excited_lines,
     is_unsettled,
+    jump_finding,
     neighbourhood_mean,
     samples_per_period,
     settling_finding,
@@ -40,13 +41,14 @@ from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
 
 
-def no_line(acting: BoolArray) -> DataError:
-    """The fault of forces that act, by *acting* (n_line, n_force), on no line together."""
+def no_line(acting: BoolArray, names: Sequence[str] = ()) -> DataError:
+    """The fault of forces, by their *names*, that act, by *acting* (n_line, n_force), on no line together."""
     if acting.shape[1] > 1 and np.all(np.any(acting, axis=0)):
         what = "no line is excited by all forces independently: their lines are interleaved"
         return DataError(what, hint="use frf: {result: spectra} with model: dynamic-stiffness")
-    hint = "check `period` and `band`, or raise the level"
-    return DataError("no line of the force exceeds its noise", hint=hint)
+    silent = "".join(f" {name}" for name, acts in zip(names, acting.T, strict=False) if not np.any(acts))
+    hint = "check `period` and `band`, or raise the level; a channel that drives nothing is a `reference`"
+    return DataError(f"no line of the force{silent} exceeds its noise", hint=hint)
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -65,7 +67,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
-        raise no_line(acting)
+        raise no_line(acting, [port.label for port in layout.inputs])
     n_input = len(layout.inputs)
     mean = np.stack([layout.pad(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)
     inverse = force_inverse(mean[:, :n_input], layout)
@@ -216,12 +218,13 @@ def period_average(
     source: SampleSource, settings: FrfSettings
 ) -> tuple[LineSpectrum, LineSpectrum | None, tuple[Finding, ...]]:
     """The averaged lines of one recording in the band, those of the first half of its periods, and
-    findings: motion that had not settled, a rest position that creeps.
+    findings: motion that had not settled, a rest position that creeps, periods that change at once.
     """
     assert settings.period is not None
     n_sample = samples_per_period(settings.period, source.sample_rate)
     average, spectrum, half = _average(source, settings, n_sample)
     findings = settling_finding(average.differences, source.channels, source.name, settings.skip)
+    jumps = () if findings else jump_finding(average, source, settings.skip)
     creep = None if findings else average.creep(spectrum)
     if creep is not None:
         average, spectrum, half = _average(source, settings, n_sample, creep)
@@ -231,7 +234,7 @@ def period_average(
         _, spectrum, half = _average(source, settings, n_sample, creep, n_beside)
         findings = (*findings, _beside_note(source, settings.period))
     chosen = select_lines(spectrum.frequency, settings)
-    return spectrum.select(chosen), None if half is None else half.select(chosen), findings
+    return spectrum.select(chosen), None if half is None else half.select(chosen), (*findings, *jumps)
 
 
 def _average(

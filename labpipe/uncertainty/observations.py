@@ -50,7 +50,8 @@ class Observation:
         if self.value > 0:
             return self.std_error / self.value
         what = f"'{self.parameter.name}' of test {self.fit.test} is {self.value:g}"
-        raise FitError(what, hint="only positive values have a ratio")
+        causes = [finding.message for finding in self.fit.findings if finding.code == "unphysical"]
+        raise FitError(what, hint="; ".join(["only positive values have a ratio", *causes]))
 
     def point(self) -> ComparedPoint:
         condition, second = (None if np.isnan(amount) else amount for amount in (self.condition, self.second))

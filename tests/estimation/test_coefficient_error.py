@@ -17,7 +17,8 @@ from labpipe.estimation.linear_models import sdof
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings, Support
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
-from labpipe.records.uncertain import Uncertain
+from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
+from tests.estimation.conftest import with_noise
 from tests.estimation.noisy import measured
 
 FREQUENCY = np.linspace(20.0, 60.0, 60)
@@ -76,6 +77,21 @@ def test_a_sensor_upside_down_is_named_by_the_power_at_its_driving_point(turned:
     if len(turned) == 1:
         assert "2/f2 at its driving point feeds power back" in said and "1/f1" not in said
     assert bool(said) == bool(turned)
+
+
+def test_a_wrong_sign_is_not_called_a_wrong_mass_or_gain() -> None:
+    """A block of 8 kg on 65 MN/m, its accelerometer upside down; mass and gain are known to 0.1 and 0.5 %."""
+    frequency = np.arange(350.0, 651.0)
+    w = 2 * np.pi * frequency
+    exact = 1 / (65.4e6 - 8.0 * w**2 + 457j * w)
+    gain = ChannelUncertainty("gain", Uncertainty("a.sensitivity", 0.005, "1"))
+    output, force = Port("a", "a", "z", None, (gain,)), Port("f", "f", "z")
+    rng = np.random.default_rng(3)
+    for sign in (1.0, -1.0):
+        turned = with_noise(frequency, sign * exact[:, None, None], (output,), (force,), 5e-12, rng)
+        (fit,) = identify(turned, FitSettings("sdof", mass="8 kg +- 10 g"))
+        codes = {finding.code for finding in fit.findings}
+        assert not codes & {"mass", "stated-value"} and ("unphysical" in codes) == (sign < 0)
 
 
 @pytest.mark.long

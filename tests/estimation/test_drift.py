@@ -47,7 +47,8 @@ SHAPES = {
     "all stiffness": (coupled(1.01) - coupled(), 1.0),
     "all damping": (coupled(c_factor=1.05) - coupled(), 5.0),
     "the gain of x": (0.02 * coupled() * np.array([[1.0], [0.0]]), 2.0),
-    "the gain of fy": (-0.02 * coupled() * np.array([[0.0, 1.0]]), -2.0),
+    # A force that shows 2 % more makes the response to it 2 % less.
+    "the gain of fy": (-0.02 * coupled() * np.array([[0.0, 1.0]]), 2.0),
 }
 
 
@@ -62,6 +63,31 @@ def test_each_shape_is_told_from_the_others_with_its_amount(coupled_response, na
     )
     # 1 % of stiffness is beyond first order by 1 % of itself; amounts are written with two digits.
     assert amount == pytest.approx(per_cent, abs=4 * error + 0.05 * abs(per_cent))
+
+
+@pytest.mark.parametrize(("name", "mask", "sign"), [("y", [[0.0], [1.0]], 1), ("fx", [[1.0, 0.0]], -1)])
+def test_a_lag_that_grows_is_told_from_what_changes_in_the_rig(
+    coupled_response, name: str, mask: list[list[float]], sign: int
+) -> None:
+    """H exp(-j w tau) - H of one channel, early for a force: clocks 50 ppm apart over 2 s."""
+    rng = np.random.default_rng(7)
+    w = 2 * np.pi * np.arange(40.0, 121.0)[:, None, None]
+    change = coupled() * np.array(mask) * (np.exp(-1j * w * sign * 1e-4) - 1)
+    finding = drift(changed(coupled_response(STD, rng), change, rng))
+    assert finding is not None
+    found = re.search(rf"the delay of {name} changed by \+([.0-9]+) \+- ([.0-9]+) us, as", finding.message)
+    assert found is not None, finding.message
+    assert abs(float(found[1]) - 100) < 4 * float(found[2])
+
+
+def test_a_signal_that_is_lost_is_no_gain_that_changed(sdof_response) -> None:
+    """In the second half nothing is left: the change is twice the mean of both."""
+    rng = np.random.default_rng(8)
+    response = sdof_response(1e-7, rng)
+    finding = drift(
+        changed(response, -2 * response.matrix, rng, 1e-7), FitSettings("sdof", mass=PEDESTAL["m"])
+    )
+    assert finding is not None and "in one half its signal is hardly there" in finding.message
 
 
 def test_a_single_coefficient_is_named(coupled_response) -> None:

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from labpipe.project.first_guess import GuessedChannel, copies, guess_channels, time_columns
+from labpipe.project.first_guess import (
+    GuessedChannel,
+    copies,
+    guess_channels,
+    time_columns,
+    without_static_forces,
+)
 from labpipe.project.settings_reader import DECIDE
 
 
@@ -211,3 +217,11 @@ def test_steps_alike_to_a_thousandth_are_even(jitter: float, is_time: bool) -> N
     steps = np.full(100, 0.01)
     steps[50] *= 1 + jitter
     assert time_columns(["t"], np.cumsum(steps)[:, None]) == (["t"] if is_time else [])
+
+
+def test_a_preload_beside_the_force_of_a_shaker_drives_nothing(rng: np.random.Generator) -> None:
+    """A force that rests at 200 N is a reference; alone it stays a force, whatever it is."""
+    channels = guess_channels(["Force [N]", "Preload [N]"], {"Force [N]": "N", "Preload [N]": "N"}, {})
+    rows = np.column_stack([30 * rng.normal(size=500), 200 + rng.normal(size=500)])
+    assert [c.role for c in without_static_forces(channels, rows)] == ["input", "reference"]
+    assert [c.role for c in without_static_forces(channels[1:], rows[:, 1:])] == ["input"]

@@ -434,3 +434,13 @@ def test_several_pipelines_are_checked_at_the_same_time(project: Path, labpipe) 
     assert lines[1] == f"{strict}: 0 of 1 rules hold" and "direct.gof >= 0.99999999 fails" in lines[2]
     ended = labpipe("check", project / "missing.yaml", strict)
     assert ended.code == 2 and "missing.yaml: no such file" in ended.err
+
+
+def test_a_pipeline_without_rules_is_not_said_to_hold(project: Path, labpipe) -> None:
+    without = project / "open.yaml"
+    without.write_text("".join(line for line in PIPELINE.splitlines(True) if not line.startswith("accept:")))
+    ended = labpipe("check", without)
+    assert (ended.code, ended.out.strip()) == (
+        0,
+        f"{without}: no rules under expect: or accept:, nothing was judged",
+    )

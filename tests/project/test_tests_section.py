@@ -368,6 +368,17 @@ def test_a_test_may_have_its_spectra_made_otherwise(folder: Path) -> None:
     assert (dry.frf.excitation, dry.frf.band, dry.frf.mask) == ("periodic", (5.0, 50.0), None)
 
 
+def test_a_test_of_another_excitation_takes_over_what_that_takes(folder: Path) -> None:
+    """Taps of the free rotor beside a shaker's periods: the band stays, period and skip are not for hits."""
+    frf = "frf: {excitation: periodic, period: 1 s, skip: 2, band: 1-100 Hz}\n"
+    taps = "  - {name: taps, recordings: runs/a.csv, frf: {excitation: impact, block: 2 s}}\n"
+    (test,) = load(folder, f"rig: rig.yaml\n{frf}tests:\n{taps}").tests
+    assert test.frf is not None
+    assert (test.frf.excitation, test.frf.block, test.frf.band) == ("impact", 2.0, (1.0, 100.0))
+    (fault,) = faults(folder, f"rig: rig.yaml\n{frf}tests:\n{taps.replace('block', 'period: 1 s, block')}")
+    assert "tests.1.frf.period: 'period' is not for impact excitation" in fault
+
+
 def test_faults_of_a_test_s_own_spectra_stand_at_their_place(folder: Path) -> None:
     text = f"rig: rig.yaml\n{FRF}tests:\n  - {{name: dry, recordings: runs/a.csv, frf: {{perod: 2 s}}}}\n"
     (fault,) = faults(folder, text)

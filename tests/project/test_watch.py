@@ -104,7 +104,8 @@ def test_bad_recordings_are_put_aside_with_their_reason(bench: Path, labpipe) ->
         "test.csv.reason.txt",
     ]
     assert "400N-4.csv" in (aside / "400N-4.csv.reason.txt").read_text()
-    assert "does not match 'test'" in (aside / "test.csv.reason.txt").read_text()
+    reason = (aside / "test.csv.reason.txt").read_text()
+    assert "pattern '{preload}-{serial}': does not match 'test'" in reason
     assert not list((bench / "runs").glob("t*")) and len(done_in(bench)) == 5
     assert ("quarantined", "test.csv") in log_of(bench)
 
@@ -188,6 +189,16 @@ def test_a_recording_that_grows_is_waited_for(bench: Path) -> None:
     ]
     Bench(bench, looks, settle=0.0001, every=10.0).watch.run()
     assert "0N-0.csv" in done_in(bench) and not read_rows(bench / "out")["failed"].drop_null().to_pylist()
+
+
+def test_a_recording_that_grows_after_it_was_worked_on_is_said_once(bench: Path) -> None:
+    """The logger paused for longer than --settle: the result is that of a part."""
+    path = bench / "runs/0N-0.csv"
+    whole = path.read_text()
+    path.write_text(whole[: whole.rfind("\n", 0, 20 * len(whole) // 21) + 1])
+    looks = [lambda: None, lambda: path.write_text(whole), lambda: None, lambda: None]
+    Bench(bench, looks, settle=0.0001, every=10.0).watch.run()
+    assert [event for event in log_of(bench) if event[0] == "changed"] == [("changed", "0N-0.csv")]
 
 
 def test_a_marker_says_what_is_complete(bench: Path) -> None:

@@ -190,3 +190,29 @@ def test_blanks_of_a_long_file_and_its_faulty_row(tmp_path: Path) -> None:
     with pytest.raises(DataError) as caught:
         list(CsvTable(written(tmp_path, "\n".join(rows))).chunks(["1", "2"]))
     assert str(caught.value).endswith(":30001: column '2': 'x' is not a number")
+
+
+@pytest.mark.parametrize("end", ["\r\n", "\n"])
+@pytest.mark.parametrize(("delimiter", "decimal"), [(",", "."), (";", ","), (" ", ".")])
+@pytest.mark.parametrize("form", ["%.4f", "%.3e"])
+def test_a_file_that_ends_within_its_last_number_is_refused(
+    tmp_path: Path, rng, delimiter: str, decimal: str, end: str, form: str
+) -> None:
+    """-6.40 is left of -6.4067, 1.234e-0 of 1.234e-05; the whole last line without an end is read."""
+    lines = [
+        delimiter.join((form % value).replace(".", decimal) for value in row)
+        for row in rng.normal(size=(30, 3))
+    ]
+    text = end.join([delimiter.join("tfx"), *lines])
+    whole = CsvTable(written(tmp_path, text))
+    assert np.concatenate(list(whole.chunks(["x"]))).shape == (30, 1)
+    table = CsvTable(written(tmp_path, text[:-2]))
+    with pytest.raises(DataError, match="ends within its last number"):
+        list(table.chunks(["f"]))
+
+
+def test_numbers_of_any_decimals_end_as_they_like(tmp_path: Path, rng) -> None:
+    """Shortest decimals, of which a last one of few is nothing to be seen; below 200 rows none is judged."""
+    values = [round(value, 3) for value in rng.normal(size=150)]
+    table = CsvTable(written(tmp_path, "\n".join(["t,x", *(f"0.5,{v}" for v in [*values, 2.0])])))
+    assert np.concatenate(list(table.chunks(["x"])))[-1] == 2.0

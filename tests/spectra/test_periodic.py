@@ -347,3 +347,51 @@ def test_noise_that_goes_through_the_structure_is_as_sharp_as_its_resonance(rng:
         ratios.append(response.variance[:, 0, 0] / np.abs(response.matrix[:, 0, 0]) ** 2 * 8 / 0.01)
     # Medians of 20 draws of 6 lines (at the ends) and 7 degrees of freedom each: outliers keep their own.
     np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, atol=5 * 1.25 / np.sqrt(20 * 6 * 7))
+
+
+def oscillator_periods(rng: np.random.Generator, n_period: int = 12) -> np.ndarray:
+    """Samples (512 n, 2) of force and displacement of a steady oscillator of 30 Hz, 512 Hz, beside noise."""
+    frequency = np.fft.rfftfreq(512, 1 / 512)
+    phase = np.exp(2j * np.pi * rng.random(frequency.size))
+    lines = np.where((frequency >= 5) & (frequency <= 90), phase, 0)
+    response = lines / (1 - (frequency / 30) ** 2 + 0.04j * frequency / 30)
+    steady = np.fft.irfft(np.column_stack([lines, response]), 512, axis=0)
+    samples = np.tile(steady / steady.std(axis=0), (n_period, 1))
+    return samples + 0.01 * rng.normal(size=samples.shape)
+
+
+def jumps(samples: np.ndarray) -> list[str]:
+    channels = (Channel("f", "force", "input", "x"), Channel("x", "displacement", "output", "x"))
+    recorded = Recording(channels, samples, 512.0, "run")
+    found = measure([recorded], FrfSettings("periodic", period=1.0, skip=1)).findings
+    return [finding.message for finding in found if finding.code == "jump"]
+
+
+def test_lost_samples_and_lost_signals_are_named_with_their_place(rng: np.random.Generator) -> None:
+    """Three samples lost at 6.25 s; a connector off from 8 s on; peaks cut off in 3 s to 5 s."""
+    whole = oscillator_periods(rng)
+    (lost,) = jumps(np.delete(whole, slice(3200, 3203), axis=0))
+    assert "periods of f, x change at once near 6 s" in lost and "samples were lost" in lost
+    off = whole.copy()
+    off[8 * 512 :, 1] = 0.01 * rng.normal(size=4 * 512)
+    (gone,) = jumps(off)
+    assert "periods of x change at once near 8 s, x by 1 times" in gone and "a connector" in gone
+    cut = whole.copy()
+    cut[3 * 512 : 5 * 512, 1] = np.clip(cut[3 * 512 : 5 * 512, 1], -1.2, 1.2)
+    (clipped,) = jumps(cut)
+    assert "periods of x change at once near" in clipped
+
+
+def test_noise_drift_and_a_start_from_rest_are_no_jump(rng: np.random.Generator) -> None:
+    """None in 60 records: noise of all sizes, hum, a gain that drifts by 10 %, motion that dies away."""
+    time = np.arange(12 * 512) / 512
+    for number in range(15):
+        steady = oscillator_periods(rng)
+        free = np.exp(-1.2 * time) * np.sin(60 * np.pi * time)
+        beside = (
+            10.0 ** (-number / 5) * rng.normal(size=steady.shape),
+            np.outer(np.sin(2 * np.pi * 50.3 * time), [0.1, 0.3]),
+            steady * np.outer(0.1 * time / 12, [0, 1]),
+            np.outer(free, [0, 3]),
+        )
+        assert not any(jumps(steady + extra) for extra in beside)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from labpipe.errors import ConfigError, FitError
+from labpipe.records.finding import Finding
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings, TheorySettings
 from tests.uncertainty.conftest import a_fit
@@ -76,6 +79,10 @@ def test_missing_fits_parameters_and_errors_are_named() -> None:
     negative = campaign_of(OVER, [a_fit("a", {"k": (-1.0, 0.1)}), fits[1]], CONDITIONS)
     with pytest.raises(FitError, match="only positive values"):
         assert negative.relative is None
+    turned = replace(negative.observations[0].fit, findings=(Finding("unphysical", "a sign is wrong"),))
+    with pytest.raises(FitError, match="is -1") as caught:
+        assert replace(negative.observations[0], fit=turned).relative is None
+    assert caught.value.hint == "only positive values have a ratio; a sign is wrong"
 
 
 @pytest.mark.parametrize(

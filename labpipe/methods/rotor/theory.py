@@ -112,8 +112,9 @@ class RotorTheory:
     """A rotor over *speed* (n_speed,) [Hz]: frequency (n_speed, n_mode) [Hz], log_decrement and whirl
     (n_speed, n_mode) [1] of the modes, followed; NaN where a mode does not oscillate.
 
-    onset: [Hz], None within the speeds; least_decrement: at the file's speed [1]; criticals of the unbalance
-    response, whose *amplitude* (n_fine, n_node) [m] over *fine* (n_fine,) [Hz] is at *nodes*.
+    onset: [Hz], None within the speeds; least_decrement: at the file's speed [1], of the mode at
+    least_frequency [Hz]; criticals of the unbalance response, whose *amplitude* (n_fine, n_node) [m] over
+    *fine* (n_fine,) [Hz] is at *nodes*.
     """
 
     rig: RotorRig
@@ -123,6 +124,7 @@ class RotorTheory:
     whirl: FloatArray
     onset: float | None
     least_decrement: float
+    least_frequency: float
     crossings: tuple[tuple[float, float, float], ...]
     criticals: tuple[Critical, ...] = ()
     fine: FloatArray | None = None
@@ -158,6 +160,7 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
     # An integrating bearing has no coefficients at rest.
     at_speed = rig.supports() if rig.speed else supports[0]
     lowest = response.modes(rig.rotor, at_speed, rig.omega).eigenvalues[:MOST_MODES]
+    least = min(zip(decrements(lowest), lowest.imag / (2 * np.pi), strict=True), default=(np.inf, np.nan))
     theory = RotorTheory(
         rig,
         speeds,
@@ -165,7 +168,8 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
         decrement,
         whirl,
         None if onset is None else onset / (2 * np.pi),
-        float(np.min(decrements(lowest), initial=np.inf)),
+        float(least[0]),
+        float(least[1]),
         tuple(sorted(crossings)),
     )
     return _with_response(theory, at) if any(rig.amounts.values()) else theory
@@ -174,6 +178,13 @@ def rotor_theory(rig: RotorRig, speeds: FloatArray) -> RotorTheory:
 def decrements(roots: ComplexArray) -> FloatArray:
     """Logarithmic decrements -2 pi Re lambda / Im lambda (n_mode,) [1] of eigenvalues (n_mode,) [1/s]."""
     return -2 * np.pi * roots.real / roots.imag
+
+
+def drawn_decrements(values: FloatArray) -> FloatArray:
+    """Logarithmic decrements (n_speed, n_mode) [1] of motion that oscillates, below 2 pi; NaN for others,
+    beside which those that matter could not be told from zero.
+    """
+    return np.where(values < 2 * np.pi, values, np.nan)
 
 
 def follow_modes(
@@ -356,7 +367,8 @@ def sentences(theory: RotorTheory) -> Iterator[str]:
         yield text
     least = theory.least_decrement
     word = "above" if least > LEAST_DECREMENT else "NOT above"
-    yield f"least log decrement at {60 * operating:g} rpm: {least:.3g}, {word} {LEAST_DECREMENT:g}"
+    of_mode = f" (mode of {theory.least_frequency:.4g} Hz)" if np.isfinite(least) else ""
+    yield f"least log decrement at {60 * operating:g} rpm: {least:.3g}{of_mode}, {word} {LEAST_DECREMENT:g}"
     top = 60 * theory.speed[-1]
     yield (
         f"stable up to {top:.0f} rpm"
@@ -395,6 +407,7 @@ def rotor_entry(theory: RotorTheory) -> dict[str, Any]:
             for critical in theory.criticals
         ],
         "least_log_decrement": without_nan(theory.least_decrement),
+        "least_log_decrement_frequency_hz": without_nan(theory.least_frequency),
         "onset_speed_hz": theory.onset,
     }
 
@@ -409,7 +422,7 @@ def rotor_document(theory: RotorTheory) -> Document:
     shown = [n for n in range(theory.frequency.shape[1]) if (theory.frequency[:, n] < 2.5 * speed[-1]).any()]
     frequencies, decrements = (
         [curve(f"mode {n + 1}", speed, values[:, n], n % 6) for n in shown]
-        for values in (theory.frequency, theory.log_decrement)
+        for values in (theory.frequency, drawn_decrements(theory.log_decrement))
     )
     across = Axis("speed", "Hz")
     campbell = Panel(
@@ -421,8 +434,8 @@ def rotor_document(theory: RotorTheory) -> Document:
     figures: list[Block] = [
         Figure(
             stack([campbell, damping], 5.2),
-            "Campbell diagram, modes followed through crossings, and their logarithmic decrements; dashed: "
-            "the speed itself; upright: the operating speed.",
+            "Campbell diagram, modes followed through crossings, and their logarithmic decrements below "
+            "2 pi; dashed: the speed itself; upright: the operating speed.",
             "Natural frequencies and logarithmic decrements over speed",
         )
     ]

@@ -94,21 +94,23 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     """The least logarithmic decrement of the slowest modes at the *operating* speed [Hz], its standard error,
     and its derivatives (n_unknown,) [1 over the unknown's unit]; FitError where nothing oscillates.
     """
-    model = posterior.model
-
-    def roots_of(values: FloatArray) -> Roots:
-        return model.roots(at_speed(model, values), 2 * np.pi * operating, MOST_MODES)
-
-    roots = roots_of(posterior.values)
-    if not roots.values.size:
+    model, spin = posterior.model, 2 * np.pi * operating
+    roots = model.roots(at_speed(model, posterior.values), spin, MOST_MODES + 1)
+    size = np.abs(roots.values)
+    if not size.size:
         raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
+    # The same modes wherever the unknowns are: one that is nearly overdamped comes and goes, and a count
+    # would take in another one, of any damping, in its place.
+    highest = np.sqrt(size[-2] * size[-1]) if size.size > MOST_MODES else np.inf
+
+    def least_of(values: FloatArray) -> FloatArray:
+        each = model.roots(at_speed(model, values), spin, 2 * MOST_MODES, slopes=False).values
+        return np.array(np.min(decrements(each[np.abs(each) < highest]), initial=np.inf))
+
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
     decrement, moved = decrements(roots.values), decrement_slopes(roots.values, slopes)
-    mode = int(np.argmin(decrement))
-    error = posterior.error_of(
-        moved[mode], lambda values: np.array(np.min(decrements(roots_of(values).values), initial=np.inf))
-    )
-    return float(decrement[mode]), float(error), moved[mode]
+    mode = int(np.argmin(decrement[:MOST_MODES]))
+    return float(decrement[mode]), float(posterior.error_of(moved[mode], least_of)), moved[mode]
 
 
 def decrement_slopes(root: ComplexArray, slopes: ComplexArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, with_error
-from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision
+from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision, drawn_decrements
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import SENSORS, CriticalResult, RotorSystemResult, VibrationResult
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
@@ -105,6 +105,15 @@ def lines(result: RotorSystemResult) -> Iterator[str]:
     yield from sentences(result)
 
 
+def _least_name(result: RotorSystemResult) -> str:
+    """Of which mode the least decrement is, as the Campbell diagram shows it at the operating speed."""
+    diagram, name = result.campbell, f"least log decrement at {RPM * result.operating:.0f} rpm"
+    row = int(np.argmin(np.abs(diagram.speed - result.operating)))
+    mode = int(np.argmin(np.abs(np.nan_to_num(diagram.log_decrement[row], nan=np.inf) - result.decrement[0])))
+    is_there = np.isclose(diagram.log_decrement[row, mode], result.decrement[0], rtol=1e-6)
+    return f"{name} (mode of {diagram.frequency[row, mode]:.4g} Hz)" if is_there else name
+
+
 def sentences(result: RotorSystemResult) -> Iterator[str]:
     """Critical speeds, stability, weights and what to measure next."""
     operating = RPM * result.operating
@@ -112,7 +121,7 @@ def sentences(result: RotorSystemResult) -> Iterator[str]:
         yield _critical_sentence(critical, operating)
     least, error, probability = result.decrement
     yield (
-        f"least log decrement at {operating:.0f} rpm: {with_error(least, error)}, above {LEAST_DECREMENT:g} "
+        f"{_least_name(result)}: {with_error(least, error)}, above {LEAST_DECREMENT:g} "
         f"with a probability of {100 * probability:.0f} %: {decision(probability)}"
     )
     if result.onset is None:
@@ -208,7 +217,7 @@ def prediction_table(result: RotorSystemResult) -> Table:
     least, error, probability = result.decrement
     ends = _ends((least - NORMAL * error, least + NORMAL * error))
     limit = f"above {LEAST_DECREMENT:g}: {_sure(probability)}"
-    rows.append((f"least log decrement at {RPM * result.operating:.0f} rpm", f"{least:.3g}", ends, limit))
+    rows.append((_least_name(result), f"{least:.3g}", ends, limit))
     if result.onset is not None:
         speed, spread = RPM * result.onset[0], NORMAL * result.onset[1]
         ends = _ends((speed * np.exp(-spread), speed * np.exp(spread)), form=".0f")
@@ -300,7 +309,7 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     if result.measured:
         turned, seen = zip(*result.measured, strict=True)
         frequencies.append(dots("measured", [RPM * x for x in turned], seen, 7, marker="s"))
-    decrements = modes(diagram.log_decrement, diagram.log_decrement_error)
+    decrements = modes(drawn_decrements(diagram.log_decrement), diagram.log_decrement_error)
     decrements.append(level(LEAST_DECREMENT, -1, "--"))
     panels = [
         Panel(Axis("speed", "rpm"), axis, (*series, upright(RPM * result.operating)))
@@ -310,8 +319,9 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
         )
     ]
     caption = (
-        "Natural frequencies, modes followed through crossings, and logarithmic decrements with 95 % bands; "
-        "dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: operating speed"
+        "Natural frequencies, modes followed through crossings, and logarithmic decrements below 2 pi with "
+        "95 % bands; dashed: the speed itself, and the decrement of .1 that API 617 asks for; upright: "
+        "operating speed"
         f"{'; squares: what tests in the bearings measured' if result.measured else ''}."
     )
     words = "Natural frequencies and log decrements over speed, with bands"

@@ -14,7 +14,15 @@ from scipy import optimize
 from labpipe.methods.rotor.response import WhirlModes, eigenvalues
 from labpipe.methods.rotor.rotor_file import load_rotor
 from labpipe.methods.rotor.shaft import supported_rotor
-from labpipe.methods.rotor.theory import follow, margin_above, margin_below, peaks, rotor_theory
+from labpipe.methods.rotor.theory import (
+    drawn_decrements,
+    follow,
+    margin_above,
+    margin_below,
+    peaks,
+    rotor_theory,
+    sentences,
+)
 
 LAVAL = Path(__file__).parents[3] / "configs/rotors/laval.yaml"
 
@@ -180,6 +188,32 @@ def test_what_the_command_says_of_a_stiff_rotor_is_that_of_one_mass(labpipe, tmp
     low, high = critical["speed_interval"]
     error = np.hypot(0.05, 0.1) / np.sqrt(2) / 2
     assert np.log(high / low) / 2 == pytest.approx(1.96 * error, rel=0.25)
+
+
+DAMPED = """
+name: Shaft with one disc
+speed: 4200 rpm
+elements: [{length: 100 mm, diameter: 40 mm, count: 12, material: s}]
+materials: {s: {density: 7850 kg/m^3, elastic_modulus: 205 GPa, shear_modulus: 79 GPa}}
+discs: [{node: 5, mass: 12.3 kg, transverse_inertia: 0.06 kg.m^2, polar_inertia: 0.11 kg.m^2}]
+bearings:
+  - {kind: linear-bearing, name: left, node: 2, k_yy: 10 MN/m, c: 20 kN.s/m}
+  - {kind: linear-bearing, name: right, node: 12, k_yy: 7 MN/m, c: 20 kN.s/m}
+"""
+
+
+def test_the_mode_of_the_least_decrement_is_named_and_overdamped_motion_is_not_drawn(tmp_path):
+    """By a Timoshenko beam of another program: .0707 at 478.13 Hz, where the first modes have .137 and .153;
+    overdamped motion of the bearings has decrements of hundreds, beside which nothing else was seen.
+    """
+    (tmp_path / "rotor.yaml").write_text(DAMPED)
+    theory = rotor_theory(load_rotor(tmp_path / "rotor.yaml"), np.linspace(5.0, 120.0, 12))
+    assert theory.least_decrement == pytest.approx(0.0707, abs=5e-5)
+    assert theory.least_frequency == pytest.approx(478.13, rel=1e-3)
+    assert "(mode of 478.1 Hz), NOT above 0.1" in " ".join(sentences(theory))
+    assert np.nanmax(theory.log_decrement) > 100
+    drawn = drawn_decrements(theory.log_decrement)
+    assert np.nanmax(drawn) < 2 * np.pi and np.sum(np.isfinite(drawn[0])) >= 4
 
 
 @pytest.mark.long

@@ -106,7 +106,7 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
         "the share of its variance that would go if one source were known",
         "small errors of bearings",
         "without this test larger by",
-        "least log decrement",
+        "least log decrement at 4200 rpm (mode of ",
         "no test tells" if "no test tells" in page else "declared",
     ):
         assert words in page
