@@ -268,11 +268,7 @@ def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
     f_n, zeta = mode.frequency_and_damping(start)
     near = np.abs(curve.frequency - f_n) <= REACH * 2 * zeta * f_n
     if np.count_nonzero(near) >= FEWEST_NEAR:
-        curve = Curve(curve.frequency[near], curve.values[near], curve.std[near])
+        curve = curve.choose(near)
     spacing = float(np.median(np.diff(curve.frequency)))
     together = min(curve.frequency.size // MOST_LINES + 1, int(2 * zeta * f_n / (LINES_IN_WIDTH * spacing)))
-    if together < 2:
-        return curve
-    groups = curve.frequency[: curve.frequency.size // together * together].reshape(-1, together)
-    values, std = (part[: groups.size].reshape(-1, together) for part in (curve.values, curve.std))
-    return Curve(groups.mean(axis=1), values.mean(axis=1), np.sqrt(np.sum(std**2, axis=1)) / together)
+    return curve if together < 2 else curve.average(together)

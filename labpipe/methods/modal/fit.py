@@ -427,7 +427,14 @@ def _report(
     judged = refined.converged and (settings.judged or moving)
     if judged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
         errors = model_error.model_errors(
-            measured, beyond, estimate, parameters, misfit, moved, moving=moving
+            measured,
+            beyond,
+            estimate,
+            parameters,
+            misfit,
+            moved,
+            moving=moving,
+            driving=model_error.strongest_points(refined, sides.driving_points),
         )
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are not a fault of the modes.

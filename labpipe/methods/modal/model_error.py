@@ -11,11 +11,18 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, pole_functions, pseudo_inverse
+from labpipe.methods.modal.likelihood import (
+    FrfLines,
+    Refined,
+    ResidualTerms,
+    leaking_functions,
+    pseudo_inverse,
+)
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Finding, Parameter
@@ -263,6 +270,7 @@ def model_errors(
     moved: Sequence[MovedMode] = (),
     *,
     moving: bool = False,
+    driving: Sequence[DrivingPoint] = (),
 ) -> dict[int, ModelError]:
     """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
     left out. *wide*: the same FRFs beyond the band. Without *misfit* of the whole only modes that fill the
@@ -290,7 +298,10 @@ def model_errors(
             continue
         if mixed.sound < 0.5 or scatter is not None:
             mixed = settle(mixed, _elsewhere(wide, estimate, mode, band, scatter))
-        rows = _rows(base, number, values)
+        place = driving[number - 1] if driving else None
+        rows = _rows(
+            base, number, values, 0.0 if place is None else band.log_amplitude(place, base.theta[:2])
+        )
         if not every and (mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)):
             continue
         seen, shifted, of_points = band.points()
@@ -401,7 +412,7 @@ def with_model_errors(
 class _Band:
     """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], frf and std
     (n_line, n_output, n_input) [m/N], *columns* (n_output, n_input, n): residues of the mode and of its
-    neighbours, the mode first.
+    neighbours, the mode first. *leakage* of random data, which beside one mode looks like one that moves.
     """
 
     pole: complex
@@ -409,6 +420,7 @@ class _Band:
     frf: ComplexArray
     std: FloatArray
     columns: ComplexArray
+    leakage: Leakage | None = None
 
     @classmethod
     def of(
@@ -429,7 +441,8 @@ class _Band:
             near = (frequency >= edges[0]) & (frequency <= edges[1])
         residues = refined.shapes[:, None, :] * refined.participation.T
         flat = residues.reshape(-1, refined.poles.size)
-        (a, b), _ = pole_functions((1j * measured.omega[near]), refined.poles, refined.hysteretic)
+        leakage = measured.leakage and measured.leakage.choose(near)
+        (a, b), _ = leaking_functions(measured.omega[near], refined.poles, leakage, refined.hysteretic)
         a[:, mode] = b[:, mode] = 0.0
         others = (a @ flat.T + b @ flat.T.conj()).reshape(-1, *shape)
         power = scatter
@@ -439,7 +452,7 @@ class _Band:
         std = np.broadcast_to(np.sqrt(power).reshape(-1, *shape), measured.matrix[near].shape)
         is_near = (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
         columns = residues[:, :, [mode, *np.flatnonzero(is_near)]]
-        return cls(pole, frequency[near], measured.matrix[near] - others, std, columns)
+        return cls(pole, frequency[near], measured.matrix[near] - others, std, columns, leakage)
 
     def curve(self, outputs: slice) -> Curve:
         frf, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.frf, self.std))
@@ -447,7 +460,19 @@ class _Band:
         columns = self.columns[outputs].reshape(frf.shape[1], -1)[:, : max(frf.shape[1] // 2, 1)]
         weight = 1 / np.sqrt(np.mean(std**2, axis=0))
         filters = np.linalg.pinv(columns * weight[:, None])[0] * weight
-        return Curve(self.frequency, frf @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
+        curve = Curve(self.frequency, frf @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
+        if self.leakage is None:
+            return curve
+        return replace(curve, smear=self.leakage.weights, omega=self.leakage.grid[0])
+
+    def log_amplitude(self, place: DrivingPoint, q: FloatArray) -> float:
+        """ln of the residue of the FRF at a driving point over that of *columns*, with the pole at *q* = (ln
+        f_n, ln zeta).
+        """
+        residue = self.columns[place.output, place.input, 0]
+        values, std = (part[:, place.output, place.input] / residue for part in (self.frf, self.std))
+        curve = replace(self.curve(slice(None)), values=values, std=np.abs(std))
+        return float(np.log(np.hypot(*ModeModel(curve, residual=TERMS).start(q)[2:4])))
 
     def points(self) -> tuple[list[int], FloatArray, FloatArray]:
         """Points that see the mode, (ln f_n, ln zeta) of each (n, 2) and their errors by noise (n, 2) [1]."""
@@ -505,11 +530,14 @@ def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
     return fit
 
 
-def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, StatedRow]:
+def _rows(
+    base: Fitted, number: int, values: dict[str, float], at_driving_point: float = 0.0
+) -> dict[str, StatedRow]:
     """f_n and zeta of the filtered line.
 
     M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude, which at the driving
-    point is that of one FRF; under a given mass k ~ w^2, c ~ zeta w.
+    point is that of one FRF: R by *at_driving_point*, ln of it over that of the modes of the whole band;
+    under a given mass k ~ w^2, c ~ zeta w.
     """
     kept = base.theta[base.model.kept]
     unit = np.eye(kept.size)
@@ -519,11 +547,16 @@ def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, Stat
         # A loss factor is twice the damping ratio of the same peak.
         rows[f"eta_{number}"] = StatedRow(unit[1], float(np.log(factor) - kept[1]))
     alone = f"m_{number}" in values
-    of_mass = amplitude - unit[0] if alone else np.zeros(kept.size)
+    of_mass, logs = np.zeros(kept.size), {}
+    if alone:
+        of_mass, log_w = amplitude - unit[0], float(kept[0] + np.log(2 * np.pi))
+        mass = np.log(abs(values[f"m_{number}"]) * values[f"f_n_{number}"]) - kept[0] - at_driving_point
+        logs = {"m": mass, "k": mass + 2 * log_w, "c": mass + np.log(2) + kept[1] + log_w}
     for letter, row in (("m", of_mass), ("k", of_mass + 2 * unit[0]), ("c", of_mass + unit[0] + unit[1])):
         value = values.get(f"{letter}_{number}", 0.0)
         if value != 0:
-            offset = float(np.log(abs(value)) - row @ kept)
+            at_base = logs[letter] if alone else float(np.log(abs(value)))
+            offset = float(at_base - row @ kept)
             rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=alone)
     return rows
 
