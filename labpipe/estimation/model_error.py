@@ -42,14 +42,14 @@ NAMED = 0.25
 @dataclass(frozen=True)
 class StatedRow:
     """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset.
-    *log*: of its logarithm. *alone*: it is read off one FRF of those that the mixture is of, and has at least
-    the error that the fit states.
+    *log*: of its logarithm. *alone*: standard error by noise [1] of its logarithm where it is read off one
+    FRF of those that the mixture is of; it has at least that, and the error that the fit states.
     """
 
     row: FloatArray
     offset: float = 0.0
     log: bool = True
-    alone: bool = False
+    alone: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,12 @@ class ModelError:
             sign = -1.0 if parameter.value < 0 else 1.0
             centre, low, high = (sign * float(np.exp(end)) for end in (centre, low, high))
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
-        if row.alone and parameter.std_error is not None and parameter.full_error is not None:
-            own = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, 0.0))
+        if row.alone is not None and parameter.std_error is not None and parameter.full_error is not None:
+            of_frf = row.alone * abs(centre)
+            own = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, of_frf**2 - noise**2, 0.0))
             down, up = np.hypot([centre - low, high - centre], own).tolist()
             low, high = centre - down, centre + up
-            noise = max(noise, parameter.std_error)
+            noise = max(noise, parameter.std_error, of_frf)
         full = max((high - low) / (2 * NORMAL), noise)
         stated = with_model_error(parameter, centre, full, (low, high), noise)
         return replace(stated, reason=reason, discrepancy=self.discrepancy)

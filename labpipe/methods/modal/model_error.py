@@ -299,9 +299,8 @@ def model_errors(
         if mixed.sound < 0.5 or scatter is not None:
             mixed = settle(mixed, _elsewhere(wide, estimate, mode, band, scatter))
         place = driving[number - 1] if driving else None
-        rows = _rows(
-            base, number, values, 0.0 if place is None else band.log_amplitude(place, base.theta[:2])
-        )
+        amplitude = (0.0, 0.0) if place is None else band.log_amplitude(place, base.theta[:2])
+        rows = _rows(base, number, values, amplitude)
         if not every and (mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)):
             continue
         seen, shifted, of_points = band.points()
@@ -465,14 +464,20 @@ class _Band:
             return curve
         return replace(curve, smear=self.leakage.weights, omega=self.leakage.grid[0])
 
-    def log_amplitude(self, place: DrivingPoint, q: FloatArray) -> float:
+    def log_amplitude(self, place: DrivingPoint, q: FloatArray) -> tuple[float, float]:
         """ln of the residue of the FRF at a driving point over that of *columns*, with the pole at *q* = (ln
-        f_n, ln zeta).
+        f_n, ln zeta), and its standard error by noise [1].
         """
         residue = self.columns[place.output, place.input, 0]
         values, std = (part[:, place.output, place.input] / residue for part in (self.frf, self.std))
         curve = replace(self.curve(slice(None)), values=values, std=np.abs(std))
-        return float(np.log(np.hypot(*ModeModel(curve, residual=TERMS).start(q)[2:4])))
+        model = ModeModel(curve, residual=TERMS)
+        theta = model.start(q)
+        rows = curve.weight(model.at(theta)[1][q.size :])
+        along = np.zeros(len(rows))
+        along[:2] = theta[q.size : q.size + 2] / np.sum(theta[q.size : q.size + 2] ** 2)
+        error = float(np.sqrt(along @ np.linalg.inv(rows @ rows.T) @ along))
+        return float(np.log(np.hypot(*theta[q.size : q.size + 2]))), error
 
     def points(self) -> tuple[list[int], FloatArray, FloatArray]:
         """Points that see the mode, (ln f_n, ln zeta) of each (n, 2) and their errors by noise (n, 2) [1]."""
@@ -531,13 +536,13 @@ def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
 
 
 def _rows(
-    base: Fitted, number: int, values: dict[str, float], at_driving_point: float = 0.0
+    base: Fitted, number: int, values: dict[str, float], at_driving_point: tuple[float, float] = (0.0, 0.0)
 ) -> dict[str, StatedRow]:
     """f_n and zeta of the filtered line.
 
     M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude, which at the driving
-    point is that of one FRF: R by *at_driving_point*, ln of it over that of the modes of the whole band;
-    under a given mass k ~ w^2, c ~ zeta w.
+    point is that of one FRF: *at_driving_point*, ln of R over that of the modes of the whole band, and its
+    standard error; under a given mass k ~ w^2, c ~ zeta w.
     """
     kept = base.theta[base.model.kept]
     unit = np.eye(kept.size)
@@ -550,14 +555,14 @@ def _rows(
     of_mass, logs = np.zeros(kept.size), {}
     if alone:
         of_mass, log_w = amplitude - unit[0], float(kept[0] + np.log(2 * np.pi))
-        mass = np.log(abs(values[f"m_{number}"]) * values[f"f_n_{number}"]) - kept[0] - at_driving_point
+        mass = np.log(abs(values[f"m_{number}"]) * values[f"f_n_{number}"]) - kept[0] - at_driving_point[0]
         logs = {"m": mass, "k": mass + 2 * log_w, "c": mass + np.log(2) + kept[1] + log_w}
     for letter, row in (("m", of_mass), ("k", of_mass + 2 * unit[0]), ("c", of_mass + unit[0] + unit[1])):
         value = values.get(f"{letter}_{number}", 0.0)
         if value != 0:
             at_base = logs[letter] if alone else float(np.log(abs(value)))
             offset = float(at_base - row @ kept)
-            rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=alone)
+            rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=at_driving_point[1] if alone else None)
     return rows
 
 

@@ -109,14 +109,17 @@ def test_a_modal_mass_has_at_least_the_error_of_its_own_frf() -> None:
         stated_interval=lambda row: (0.0, -0.05 * 1.96, 0.05 * 1.96),
     )
     m = Parameter("m_1", 1.0, "kg", std_error=0.06, ci95=(0.88, 1.12))
-    shared, alone = (
+    shared, alone, noisier = (
         ModelError(mixture, {"m_1": StatedRow(np.ones(1), alone=alone)}).state([m])[0]  # type: ignore[arg-type]
-        for alone in (False, True)
+        for alone in (None, 0.04, 0.08)
     )
-    assert (shared.std_error, alone.std_error) == (pytest.approx(0.02), 0.06)
-    assert np.subtract(*alone.ci95[::-1]) ** 2 == pytest.approx(
-        np.subtract(*shared.ci95[::-1]) ** 2 + 3.92**2 * (0.06**2 - 0.02**2), rel=2e-3
-    )
+    assert shared.std_error == pytest.approx(0.02)
+    # On the mode's own lines the noise of the FRF may be more than that of the fit of the whole band.
+    for stated, error in ((alone, 0.06), (noisier, 0.08)):
+        assert stated.std_error == pytest.approx(error)
+        assert np.subtract(*stated.ci95[::-1]) ** 2 == pytest.approx(
+            np.subtract(*shared.ci95[::-1]) ** 2 + 3.92**2 * (error**2 - 0.02**2), rel=2e-3
+        )
 
 
 def test_stiffness_and_damping_under_a_given_mass_follow_the_pole_alone() -> None:
