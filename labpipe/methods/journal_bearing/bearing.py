@@ -161,6 +161,8 @@ def _squeeze(film: Film) -> FloatArray:
 
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
+# In an arc as long as the bearing, within which the pressure of a short one ends.
+CELLS_PER_LENGTH = 9
 WIDEST_GROOVE = 2 * np.pi / 3
 
 
@@ -333,9 +335,14 @@ def converged_equilibrium(
     mesh: FilmMesh = DEFAULT_MESH,
 ) -> JournalEquilibrium:
     """The equilibrium on the coarsest mesh, from *mesh* on and doubling, with coefficient errors below
-    *tolerance* of the largest: a third of the change from half the cells each way (second order). FitError
-    where the finest mesh does not do, ConfigError where the first cannot be halved. Equation (jour-mesh).
+    *tolerance* of the largest: a third of the change from half the cells each way (second order, where
+    CELLS_PER_LENGTH stand in an arc as long as the bearing: the film ends within such an arc). FitError where
+    the finest mesh does not do, ConfigError where the first cannot be halved. Equation (jour-mesh).
     """
+    while mesh.around * bearing.length < CELLS_PER_LENGTH * np.pi * bearing.diameter and (
+        2 * mesh.around <= MOST_CELLS_AROUND
+    ):
+        mesh = FilmMesh(2 * mesh.around, 2 * mesh.across)
     coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
