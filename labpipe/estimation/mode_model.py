@@ -52,8 +52,8 @@ class Curve:
         """j omega (n_line,) or (n_point,) [rad/s]."""
         return 2j * np.pi * self.frequency if self.omega is None else 1j * self.omega
 
-    def shown(self, rows: ComplexArray) -> ComplexArray:
-        """*rows* (..., n_point) [any unit] at `s` as the lines show them, (..., n_line)."""
+    def lines_of(self, rows: ComplexArray) -> ComplexArray:
+        """The lines (..., n_line) that *rows* (..., n_point) [any unit] at `s` make by what leaks."""
         if self.smear is None:
             return rows
         lines = self.smear @ rows.reshape(-1, rows.shape[-1]).T
@@ -215,7 +215,7 @@ class ModeModel:
         single = (weights * np.array([0 * x + 1, 0 * x, 0 * x, lost][:n], np.complex128)).reshape(n, -1)
         square = (weights * np.array([0 * x, pole, by_damping, by_motion][:n])).reshape(n, -1)
         inverse = 1 / (self.curve.s - np.array([pole, np.conj(pole)]).reshape(2, -1, 1))
-        return self.curve.shown(single @ inverse + np.array([square, square.conj()]) @ inverse**2)
+        return self.curve.lines_of(single @ inverse + np.array([square, square.conj()]) @ inverse**2)
 
     def _coefficients_at(self, q: FloatArray) -> ComplexArray:
         """The mean of 1 / (k + c s + m s^2) over the motion and its derivatives by *q* (n_shape,) [1] but for
@@ -414,7 +414,7 @@ def second_mode(base: Fitted) -> Fitted | None:
     places = np.linspace(frequency[0], frequency[-1], PLACES)
     poles = 2 * np.pi * places * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 1e-12)))
     curve = base.model.curve
-    a, b_ = curve.shown(1 / (curve.s - np.array([poles, poles.conj()])[..., None]))
+    a, b_ = curve.lines_of(1 / (curve.s - np.array([poles, poles.conj()])[..., None]))
     # Of every place two real rows, without what the model has of them: (PLACES, 2, 2 n_line).
     pairs = weighted(_pair(a, b_)).swapaxes(0, 1)
     pairs = pairs - pairs @ basis @ basis.T

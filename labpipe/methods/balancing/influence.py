@@ -215,7 +215,7 @@ def influence(runs: Sequence[BalanceRun], noise: ReadingNoise, prior: Influence 
 
 
 def real_covariance(covariance: ComplexArray) -> FloatArray:
-    """Of all real, then all imaginary parts (2 n, 2 n) of circular numbers of E[e e^H] (n, n)."""
+    """Of all real, then all imaginary parts (2 n, 2 n) of circular numbers of E[e e^H] (n, n) [any unit]."""
     real, imaginary = covariance.real / 2, covariance.imag / 2
     return np.block([[real, -imaginary], [imaginary, real]])
 

@@ -16,18 +16,11 @@ from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import (
-    FrfLines,
-    Refined,
-    ResidualTerms,
-    leaking_functions,
-    pseudo_inverse,
-)
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
-from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 
 
@@ -148,7 +141,7 @@ def modal_parameters(
     if mass is None and driving:
         functions.insert(0, ("m", "kg", weigh))
     strongest = strongest_points(refined, driving)
-    ordered = list(enumerate(_ascending(refined), start=1))
+    ordered = list(enumerate(ascending(refined), start=1))
     parameters = [
         replace(_value(refined, mode, None, n, function, dof), derived=False)
         for n, mode in ordered
@@ -172,13 +165,13 @@ def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple
     def size(place: DrivingPoint, mode: int) -> float:
         return float(abs(refined.shapes[place.output, mode] * refined.participation[mode, place.input]))
 
-    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in _ascending(refined))
+    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in ascending(refined))
 
 
 def frequency_correlation(refined: Refined) -> FloatArray:
     """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
     slopes = np.zeros((2 * refined.poles.size, refined.covariance.shape[0]))
-    for row, mode in enumerate(_ascending(refined)):
+    for row, mode in enumerate(ascending(refined)):
         values, _ = _pole_and_residue(refined, mode, None)
         for number, (_, _, function) in enumerate(_pole_functions(refined)):
             slopes[2 * row + number, 2 * mode : 2 * mode + 2] = _gradient(function, values)
@@ -240,7 +233,7 @@ def _gradient(function: Function, x: FloatArray) -> FloatArray:
     return np.array([function(x + change) - function(x - change) for change in changes]) / (2 * steps)
 
 
-def _ascending(refined: Refined) -> list[int]:
+def ascending(refined: Refined) -> list[int]:
     return sorted(range(refined.poles.size), key=lambda mode: float(abs(refined.poles[mode])))
 
 
@@ -288,7 +281,7 @@ def model_errors(
     every = misfit or moving or bool(moved)
     width = measured.omega[-1] - measured.omega[0]
     errors_by_mode: dict[int, ModelError] = {}
-    for number, mode in enumerate(_ascending(refined), start=1):
+    for number, mode in enumerate(ascending(refined), start=1):
         if not every and width >= 2 * REACH * -2 * refined.poles[mode].real:
             continue
         try:
@@ -386,7 +379,7 @@ def with_model_errors(
     width as one where the noise is that of the residual. An unstable one has no interval. Intervals of poles
     hold those of the modes that may stand *instead* of them.
     """
-    poles = estimate.refined.poles[_ascending(estimate.refined)]
+    poles = estimate.refined.poles[ascending(estimate.refined)]
     stated: list[Parameter] = []
     for parameter in parameters:
         number = int(parameter.name.rpartition("_")[2])
@@ -564,48 +557,3 @@ def _rows(
             offset = float(at_base - row @ kept)
             rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=at_driving_point[1] if alone else None)
     return rows
-
-
-# Lines in the half-power width below which a window is as wide as the mode.
-LEAST_LINES = 2.0
-# Half-power width of a Hann window [lines], and what is said of a damping that it may have made.
-HANN_WIDTH = 1.44
-WINDOW = "hardly wider than a line: a window of the analyser may make the damping larger"
-
-
-def narrow_modes(refined: Refined, lines: FrfLines) -> dict[int, float]:
-    """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
-    number in ascending frequency.
-    """
-    widths = (-2 * refined.poles.real / lines.spacing)[_ascending(refined)]
-    return {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
-
-
-def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
-    """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
-    Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
-    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
-    which a window leaves; c = 2 zeta w_n m follows zeta. A warning names the modes.
-    """
-    if not narrow:
-        return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
-    message = (
-        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
-        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
-        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
-        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
-    )
-    left = {
-        f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
-        for number, width in narrow.items()
-        for name in ("zeta", "eta", "c")
-    }
-    parameters = tuple(
-        replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)
-        if parameter.name in left and parameter.ci95 is not None and parameter.ci95[0] > 0
-        else parameter
-        for parameter in fit.parameters
-    )
-    return replace(fit, parameters=parameters, findings=(*fit.findings, Finding("leakage", message)))
