@@ -332,17 +332,19 @@ def converged_equilibrium(
     load: tuple[float, float],
     speed: float,
     tolerance: float = 0.01,
-    mesh: FilmMesh = DEFAULT_MESH,
+    mesh: FilmMesh | None = None,
 ) -> JournalEquilibrium:
     """The equilibrium on the coarsest mesh, from *mesh* on and doubling, with coefficient errors below
-    *tolerance* of the largest: a third of the change from half the cells each way (second order, where
-    CELLS_PER_LENGTH stand in an arc as long as the bearing: the film ends within such an arc). FitError where
-    the finest mesh does not do, ConfigError where the first cannot be halved. Equation (jour-mesh).
+    *tolerance* of the largest: a third of the change from half the cells each way (second order). FitError
+    where the finest mesh does not do, ConfigError where the first cannot be halved. Without a *mesh* it
+    begins with CELLS_PER_LENGTH: where a short film ends, the order does not hold. Equation (jour-mesh).
     """
-    while mesh.around * bearing.length < CELLS_PER_LENGTH * np.pi * bearing.diameter and (
-        2 * mesh.around <= MOST_CELLS_AROUND
-    ):
-        mesh = FilmMesh(2 * mesh.around, 2 * mesh.across)
+    if mesh is None:
+        mesh = DEFAULT_MESH
+        while mesh.around < min(
+            CELLS_PER_LENGTH * np.pi * bearing.diameter / bearing.length, MOST_CELLS_AROUND
+        ):
+            mesh = FilmMesh(2 * mesh.around, 2 * mesh.across)
     coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)
