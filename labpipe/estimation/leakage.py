@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from scipy import fft
 
-from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.spectra.matrices import hermitian, without_rounding
 from labpipe.spectra.period_average import neighbourhood_mean
 from labpipe.spectra.windows import POINTS, LeakageKernel
@@ -220,6 +220,10 @@ class Leakage:
         centre = 2 * np.pi * self.numbers[:, None] / self.kernel.blocks.length
         return (omega[place] / centre) ** self.derivatives
 
+    def choose(self, lines: BoolArray) -> Leakage:
+        """That of the chosen *lines* (n_line,)."""
+        return replace(self, numbers=self.numbers[lines])
+
     def pairs(self, distance: int) -> tuple[IntArray, IntArray]:
         """The lines (n_pair,) that have a line *distance* further on, and those (n_pair,)."""
         second = np.searchsorted(self.numbers, self.numbers + distance)
@@ -239,13 +243,14 @@ class Leakage:
         cases = values.reshape(-1, *values.shape[-3:])
         every = np.ascontiguousarray(np.moveaxis(cases, 0, -1), np.complex128)
         # Real weights on pairs of real and imaginary part.
-        means = (self._weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
+        means = (self.weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
         cases_last = means.reshape(self.numbers.size, *every.shape[1:])
         shape = *values.shape[:-3], self.numbers.size, *values.shape[-2:]
         return np.moveaxis(cases_last, -1, 0).reshape(shape)
 
     @cached_property
-    def _weights(self) -> Any:
+    def weights(self) -> Any:
+        """Of the mean over the kernel, sparse (n_line, n_every) [1]."""
         omega, place = self.grid
         n_line, n_point = place.shape
         weights = (self.kernel.weights * self._factors).ravel()

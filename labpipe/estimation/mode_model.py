@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import scipy
 
-from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import FitError
 
 # The model as it is, a second mode, and four laws by which the resonance moves meanwhile.
@@ -35,17 +36,52 @@ NODES: Mapping[str, tuple[FloatArray, FloatArray]] = {
 @dataclass(frozen=True)
 class Curve:
     """One FRF on its lines: frequency (n_line,) [Hz], values (n_line,) [any unit], std (n_line,):
-    sqrt(E|n|^2) of the noise there.
+    sqrt(E|n|^2) of the noise there. smear: of random data, weights (n_line, n_point) [1] by which what leaks
+    makes lines of the points of omega (n_point,) [rad/s].
     """
 
     frequency: FloatArray
     values: ComplexArray
     std: FloatArray
+    _: KW_ONLY
+    smear: Any = None
+    omega: FloatArray | None = None
 
     @cached_property
     def s(self) -> ComplexArray:
-        """j omega (n_line,) [rad/s]."""
-        return 2j * np.pi * self.frequency
+        """j omega (n_line,) or (n_point,) [rad/s]."""
+        return 2j * np.pi * self.frequency if self.omega is None else 1j * self.omega
+
+    def lines_of(self, rows: ComplexArray) -> ComplexArray:
+        """The lines (..., n_line) that *rows* (..., n_point) [any unit] at `s` make by what leaks."""
+        if self.smear is None:
+            return rows
+        lines = self.smear @ rows.reshape(-1, rows.shape[-1]).T
+        return np.asarray(lines.T.reshape(*rows.shape[:-1], -1), np.complex128)
+
+    def choose(self, lines: BoolArray) -> Curve:
+        """That of the chosen *lines* (n_line,)."""
+        smear = None if self.smear is None else self.smear[np.flatnonzero(lines)]
+        return replace(
+            self, frequency=self.frequency[lines], values=self.values[lines], std=self.std[lines], smear=smear
+        )
+
+    def average(self, together: int) -> Curve:
+        """Means of so many neighbours, without what is left of the last ones."""
+        n = self.frequency.size // together * together
+        frequency, values, std = (
+            part[:n].reshape(-1, together) for part in (self.frequency, self.values, self.std)
+        )
+        smear = self.smear
+        if smear is not None:
+            mean = scipy.sparse.kron(
+                scipy.sparse.eye_array(n // together), np.full((1, together), 1 / together)
+            )
+            smear = (mean @ smear[:n]).tocsr()
+        std = np.sqrt(np.sum(std**2, axis=1)) / together
+        return replace(
+            self, frequency=frequency.mean(axis=1), values=values.mean(axis=1), std=std, smear=smear
+        )
 
     def weight(self, rows: ComplexArray) -> FloatArray:
         """sqrt(2) *rows* (..., n_line) / std, real before imaginary parts: (..., 2 n_line) [1]."""
@@ -179,7 +215,7 @@ class ModeModel:
         single = (weights * np.array([0 * x + 1, 0 * x, 0 * x, lost][:n], np.complex128)).reshape(n, -1)
         square = (weights * np.array([0 * x, pole, by_damping, by_motion][:n])).reshape(n, -1)
         inverse = 1 / (self.curve.s - np.array([pole, np.conj(pole)]).reshape(2, -1, 1))
-        return single @ inverse + np.array([square, square.conj()]) @ inverse**2
+        return self.curve.lines_of(single @ inverse + np.array([square, square.conj()]) @ inverse**2)
 
     def _coefficients_at(self, q: FloatArray) -> ComplexArray:
         """The mean of 1 / (k + c s + m s^2) over the motion and its derivatives by *q* (n_shape,) [1] but for
@@ -377,7 +413,8 @@ def second_mode(base: Fitted) -> Fitted | None:
     basis = np.linalg.qr(rows / np.linalg.norm(rows, axis=0))[0]
     places = np.linspace(frequency[0], frequency[-1], PLACES)
     poles = 2 * np.pi * places * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 1e-12)))
-    a, b_ = 1 / (base.model.curve.s - np.array([poles, poles.conj()])[..., None])
+    curve = base.model.curve
+    a, b_ = curve.lines_of(1 / (curve.s - np.array([poles, poles.conj()])[..., None]))
     # Of every place two real rows, without what the model has of them: (PLACES, 2, 2 n_line).
     pairs = weighted(_pair(a, b_)).swapaxes(0, 1)
     pairs = pairs - pairs @ basis @ basis.T

@@ -42,14 +42,14 @@ NAMED = 0.25
 @dataclass(frozen=True)
 class StatedRow:
     """A parameter as a combination (n_kept,) [parameter units] of what the mixture keeps, plus an offset.
-    *log*: of its logarithm. *alone*: it is read off one FRF of those that the mixture is of, and has at least
-    the error that the fit states.
+    *log*: of its logarithm. *alone*: standard error by noise [1] of its logarithm where it is read off one
+    FRF of those that the mixture is of; it has at least that, and the error that the fit states.
     """
 
     row: FloatArray
     offset: float = 0.0
     log: bool = True
-    alone: bool = False
+    alone: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,12 @@ class ModelError:
             sign = -1.0 if parameter.value < 0 else 1.0
             centre, low, high = (sign * float(np.exp(end)) for end in (centre, low, high))
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
-        if row.alone and parameter.std_error is not None and parameter.full_error is not None:
-            own = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, 0.0))
+        if row.alone is not None and parameter.std_error is not None and parameter.full_error is not None:
+            of_frf = row.alone * abs(centre)
+            own = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, of_frf**2 - noise**2, 0.0))
             down, up = np.hypot([centre - low, high - centre], own).tolist()
             low, high = centre - down, centre + up
-            noise = max(noise, parameter.std_error)
+            noise = max(noise, parameter.std_error, of_frf)
         full = max((high - low) / (2 * NORMAL), noise)
         stated = with_model_error(parameter, centre, full, (low, high), noise)
         return replace(stated, reason=reason, discrepancy=self.discrepancy)
@@ -268,11 +269,7 @@ def thin(curve: Curve, mode: ModeModel, start: FloatArray) -> Curve:
     f_n, zeta = mode.frequency_and_damping(start)
     near = np.abs(curve.frequency - f_n) <= REACH * 2 * zeta * f_n
     if np.count_nonzero(near) >= FEWEST_NEAR:
-        curve = Curve(curve.frequency[near], curve.values[near], curve.std[near])
+        curve = curve.choose(near)
     spacing = float(np.median(np.diff(curve.frequency)))
     together = min(curve.frequency.size // MOST_LINES + 1, int(2 * zeta * f_n / (LINES_IN_WIDTH * spacing)))
-    if together < 2:
-        return curve
-    groups = curve.frequency[: curve.frequency.size // together * together].reshape(-1, together)
-    values, std = (part[: groups.size].reshape(-1, together) for part in (curve.values, curve.std))
-    return Curve(groups.mean(axis=1), values.mean(axis=1), np.sqrt(np.sum(std**2, axis=1)) / together)
+    return curve if together < 2 else curve.average(together)

@@ -151,15 +151,31 @@ def pooled_by_force(
         residual = np.einsum("lioo->lo", noise).real
         of_line = (2 * half_width + 1) / ENOUGH_DOF if half_width else 1 / freedoms.sum()
         shape = _force_shapes(residual, response, freedoms, of_line)
+    power = np.einsum("lioo->lio", noise).real / shape
     if not shares:
-        power = np.einsum("lioo->lio", noise).real / shape
         shape = shape * noise_levels(power.swapaxes(1, 2), freedoms).T
+    elif noise.shape[1] > 1:
+        shape = shape * _shared_levels(power, freedoms)[:, :, None]
     # As loud as each other before they are added: the sum would know no more than its loudest part does.
     size = np.sqrt(shape[..., :, None] * shape[..., None, :])
     alike = np.divide(noise, size, out=np.zeros_like(noise), where=size > 0).sum(axis=1)
     if half_width:
         alike = neighbourhood_mean(alike, np.ones(len(alike), bool), half_width)
     return np.asarray(alike[:, None] * (size / freedoms.sum()))
+
+
+def _shared_levels(power: FloatArray, freedoms: FloatArray) -> FloatArray:
+    """Noise of all responses together where each force acts over that of all forces (n_line, n_input) [1], of
+    which leakage has more around the modes that the force drives: the mean over SMOOTH lines to either side;
+    1 where levels are alike within the errors of such means. *power* (n_line, n_input, n_output) [any unit]
+    of *freedoms* (n_input,) complex degrees of freedom per line.
+    """
+    every, whole = np.ones(len(power), bool), power.sum(axis=1, keepdims=True)
+    whole = neighbourhood_mean(whole, every, SMOOTH)
+    ratio = np.divide(power, whole, out=np.ones_like(power), where=whole > 0).mean(axis=2, keepdims=True)
+    level = neighbourhood_mean(ratio, every, SMOOTH)[..., 0] * freedoms.sum() / np.maximum(freedoms, 1.0)
+    levels = noise_levels(ratio.swapaxes(1, 2), freedoms)
+    return np.where(levels == 1, 1.0, level)
 
 
 def _force_shapes(

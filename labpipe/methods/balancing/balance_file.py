@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, SettingError, locate_errors
 from labpipe.methods.balancing.influence import (
     BalanceRun,
@@ -31,6 +32,8 @@ from labpipe.records.settings import Settings, parse_phasor, quantity, setting, 
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
+# Chance below which the readings contradict the stated noise.
+UNLIKELY = 0.01
 # Weights by plane and readings by line of a run.
 Vectors = tuple[dict[str, complex], dict[str, complex]]
 
@@ -43,6 +46,11 @@ class BalanceSettings(Settings):
     _: KW_ONLY
     repeatability: float = quantity(
         "scatter of a reading as a vector when nothing is changed, as a share of it (standard)", "1", 0.02
+    )
+    weight_uncertainty: float = quantity(
+        "standard uncertainty of a weight that is set, as a vector (mass, radius, angle), as a share of it",
+        "1",
+        0.0,
     )
     noise: str = text("scatter of each of its parts that does not depend on it, e.g. 0.2 um (standard)")
     mass: float | None = quantity("mass of the rotor, for a grade", "kg", None)
@@ -57,7 +65,7 @@ class BalanceSettings(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("mass", "speed", "grade")
-        self.require_not_negative("repeatability")
+        self.require_not_negative("repeatability", "weight_uncertainty")
         of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
         missing = [name for name, value in of_grade.items() if value is None]
         if missing and len(missing) < len(of_grade):
@@ -164,7 +172,7 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
     floor = _floor(entries["noise"], unit, faults) if settings is not None and settings.noise else 0.0
     faults.raise_any()
     assert settings is not None
-    noise = ReadingNoise(floor, settings.repeatability)
+    noise = ReadingNoise(floor, settings.repeatability, settings.weight_uncertainty)
     lines = tuple(dict.fromkeys(line for _, readings in named.values() for line in readings))
     prior = None
     if settings.model:
@@ -271,6 +279,7 @@ def _si_of(text: str) -> str:
 class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
+    *widened*: factor on all errors, since the readings scatter more than was stated.
     """
 
     file: BalanceFile
@@ -279,6 +288,7 @@ class Balanced:
     masses: dict[str, tuple[tuple[float, float], ...]]
     residual: RemainingVibration
     next_runs: dict[str, float]
+    widened: float = 1.0
 
     @property
     def permissible(self) -> float | None:
@@ -298,13 +308,20 @@ def balance(file: BalanceFile) -> Balanced:
     """Weights, what they leave, what one more run would change; DataError for runs that do not do."""
     with locate_errors(file.path):
         knowledge = influence(file.runs, file.noise, file.prior)
+    # Readings that contradict what was stated have errors as large as they show (Birge 1932).
+    unlikely = knowledge.dof > 0 and chi2_tail(knowledge.misfit, knowledge.dof) < UNLIKELY
+    widened = float(np.sqrt(knowledge.misfit / knowledge.dof)) if unlikely else 1.0
+    knowledge, noise = knowledge.widen(widened), file.noise
+    if not knowledge.modelled:
+        noise = ReadingNoise(*(widened * size for size in (noise.floor, noise.share, noise.weight)))
     weights, masses = _choose_weights(file, knowledge)
     trial = max([float(np.max(np.abs(run.weights))) for run in file.runs], default=0.0)
     trial = trial or float(np.max(np.abs(weights)))
     names = [*(f"a trial weight in plane {name}" for name in file.planes), "the weights themselves"]
     candidates = dict(zip(names, [*(trial * np.eye(len(file.planes), dtype=complex)), weights], strict=True))
-    expected = next_runs(knowledge, file.noise, candidates)
-    return Balanced(file, knowledge, weights, masses, residual_of(knowledge, weights, file.noise), expected)
+    expected = next_runs(knowledge, noise, candidates)
+    residual = residual_of(knowledge, weights, noise)
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened)
 
 
 def _choose_weights(
@@ -365,5 +382,6 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         ],
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
+        "widened": result.widened,
         "next_runs": dict(result.next_runs),
     }

@@ -15,8 +15,8 @@ from labpipe.cli.output import echo
 if TYPE_CHECKING:
     from labpipe.methods.balancing.balance_file import Balanced
 
-# Chance below which the readings contradict the stated noise, and share by which one more run must help.
-UNLIKELY, WORTHWHILE = 0.01, 0.8
+# Share of what is left down to which one more run must lower it.
+WORTHWHILE = 0.8
 
 
 @click.command(short_help="Balance weights by trial runs, by a model of the rotor, or by both.")
@@ -44,7 +44,6 @@ def sentences(result: Balanced) -> Iterator[str]:
     import numpy as np
 
     from labpipe.display import number, shown_unit, unit_label
-    from labpipe.distributions import chi2_tail
     from labpipe.quantities import to_display
 
     file, residual, knowledge = result.file, result.residual, result.knowledge
@@ -75,10 +74,12 @@ def sentences(result: Balanced) -> Iterator[str]:
             f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
             f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
         )
-    if knowledge.dof and chi2_tail(knowledge.misfit, knowledge.dof) < UNLIKELY:
+    if result.widened > 1:
         yield (
             f"warning: the readings scatter more than was stated (chi-square {knowledge.misfit:.3g} of "
-            f"{knowledge.dof}): the rig is not linear, changed between runs, or repeats less well"
+            f"{knowledge.dof}): the rig is not linear, changed between runs, repeats less well, or its "
+            "weights are known less well (`weight_uncertainty`). All intervals count "
+            f"{result.widened:.3g} times the stated noise"
         )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     least = result.next_runs[best]

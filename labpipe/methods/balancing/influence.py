@@ -26,6 +26,8 @@ COVERED = (2.5, 97.5)
 # Rounds of reweighting, degrees of freedom and width of the draws about their result; the 95 % quantile of
 # chi-square of one number.
 REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
+# Rounds of least squares in which errors of the weights are weighed.
+ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,43 @@ class BalanceRun:
 @dataclass(frozen=True)
 class ReadingNoise:
     """Standard uncertainties of a reading when nothing is changed: *floor* [unit of the reading] of each of
-    its two parts, *share* [1] of its amplitude of both together.
+    its two parts, *share* [1] of its amplitude of both together. *weight*: that of a weight that is set, as
+    a vector, as a share of it [1]; all readings of a run have its error in common.
     """
 
     floor: float
     share: float
+    weight: float = 0.0
 
     def variance(self, readings: ComplexArray) -> FloatArray:
         """Of the complex readings, both components together, (n_run,) [unit of the reading squared]."""
         return 2 * self.floor**2 + (self.share * np.abs(readings)) ** 2
+
+    def covariance(self, readings: ComplexArray, alpha: ComplexArray, weights: ComplexArray) -> ComplexArray:
+        """E[e e^H] (n_reading, n_reading) [unit of the readings squared] of the readings of a run with
+        *weights* (n_plane,) [kg m] under influences *alpha* (n_reading, n_plane) [unit of the readings, per
+        kg m]. Equation (balance-errors).
+        """
+        by_weights = self.weight * alpha * np.abs(weights)
+        return np.diag(self.variance(readings)).astype(np.complex128) + by_weights @ by_weights.conj().T
+
+    def draws(
+        self, readings: ComplexArray, alpha: ComplexArray, weights: ComplexArray, seed: int
+    ) -> ComplexArray:
+        """Drawn errors of the *readings* (n, n_reading) of a run with *weights* (n_plane,) [kg m] under
+        influences *alpha* (n, n_reading, n_plane).
+        """
+        rng = np.random.default_rng(seed)
+        error = _circular(rng, readings.shape) * np.sqrt(self.variance(readings))
+        if not self.weight:
+            return error
+        turned = self.weight * weights * _circular(rng, (len(readings), weights.size))
+        return error + (alpha @ turned[..., None])[..., 0]
+
+
+def _circular(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
+    """Circular normal numbers of E|e|^2 = 1."""
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -69,14 +99,29 @@ class Influence:
     narrow: Influence | None = None
 
     @cached_property
+    def covariance_of_all(self) -> ComplexArray:
+        """E[e e^H] of all errors e, (n_line, n_plane + 1, n_line, n_plane + 1) [units of the mean]."""
+        parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
+        return np.einsum("p,pliqmj,q->limj", turn, parts, turn.conj())
+
+    @cached_property
     def covariance(self) -> ComplexArray:
         """E[e e^H] of the errors e of each line, (n_line, n_plane + 1, n_plane + 1) [units of the mean]."""
-        parts, turn = self.joint.reshape(2, *self.mean.shape, 2, *self.mean.shape), np.array([1, 1j])
-        return np.einsum("p,pliqlj,q->lij", turn, parts, turn.conj())
+        return np.einsum("lilj->lij", self.covariance_of_all)
+
+    def widen(self, factor: float) -> Influence:
+        """With all errors *factor* times as large [1]."""
+        return replace(self, joint=factor**2 * self.joint)
+
+    def covariance_with(self, whole: ComplexArray) -> ComplexArray:
+        """Of z_0 + alpha w (..., n_line, n_line) [unit of the readings squared], *whole* (1, w) (...,
+        n_plane + 1).
+        """
+        return np.einsum("limj,...i,...j->...lm", self.covariance_of_all, whole, whole.conj(), optimize=True)
 
     def variance_with(self, whole: ComplexArray) -> FloatArray:
         """Of z_0 + alpha w (n_line,) [unit of the readings squared], *whole* (1, w)."""
-        return (self.covariance @ whole.conj() @ whole).real
+        return np.diagonal(self.covariance_with(whole)).real
 
     @property
     def square(self) -> ComplexArray:
@@ -101,17 +146,17 @@ class Influence:
         return replace(self, mean=self.mean + (real + 1j * imaginary).reshape(at))
 
     def gain(
-        self, weights: ComplexArray, variance: FloatArray, lines: IntArray
+        self, weights: ComplexArray, errors: ComplexArray, lines: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of a run with *weights* (n_plane,) [kg m] and readings of the *variance* (n_reading,) [unit of the
-        readings squared] on *lines*: gain (n, 2 n_reading), covariance (n, n) after it, that of what
-        surprises.
+        """Of a run with *weights* (n_plane,) [kg m] and readings of the covariance *errors* (n_reading,
+        n_reading) [unit of the readings squared] on *lines*: gain (n, 2 n_reading), covariance (n, n) after
+        it, that of what surprises.
         """
         whole, places = np.concatenate([[1.0], weights]), np.arange(lines.size)
         seen = np.zeros((2, lines.size, 2, *self.mean.shape))
         seen[:, places, :, lines] = [[whole.real, -whole.imag], [whole.imag, whole.real]]
         seen = seen.reshape(2 * lines.size, -1)
-        spread = seen @ self.joint @ seen.T + np.diag(np.tile(variance / 2, 2))
+        spread = seen @ self.joint @ seen.T + real_covariance(errors)
         gain = np.linalg.solve(spread, seen @ self.joint).T
         return gain, self.joint - gain @ spread @ gain.T, spread
 
@@ -119,7 +164,8 @@ class Influence:
         """What is known after one more run, whose readings are linear in z_0 and alpha."""
         lines = np.flatnonzero(np.isfinite(run.readings))
         readings = run.readings[lines]
-        gain, joint, spread = self.gain(run.weights, noise.variance(readings), lines)
+        errors = noise.covariance(readings, self.mean[lines, 1:], run.weights)
+        gain, joint, spread = self.gain(run.weights, errors, lines)
         surprise = readings - self.mean[lines] @ np.concatenate([[1.0], run.weights])
         parts = np.concatenate([surprise.real, surprise.imag])
         misfit = self.misfit + float(parts @ np.linalg.solve(spread, parts))
@@ -134,33 +180,44 @@ def influence(runs: Sequence[BalanceRun], noise: ReadingNoise, prior: Influence 
     """
     if prior is not None:
         return reduce(lambda knowledge, run: knowledge.after(run, noise), runs, prior)
-    design = np.array([np.concatenate([[1.0], run.weights]) for run in runs])
     readings = np.array([run.readings for run in runs])
+    there = np.isfinite(readings)
+    design = np.array([np.concatenate([[1.0], run.weights]) for run in runs])
     n_line, n_unknown = readings.shape[1], design.shape[1]
-    means = np.empty((n_line, n_unknown), np.complex128)
-    joint = np.zeros((2, n_line, n_unknown, 2, n_line, n_unknown))
-    misfit, dof = 0.0, 0
     scale = np.max(np.abs(design), axis=0)
-    for line in range(n_line):
-        there = np.isfinite(readings[:, line])
-        rows, z = design[there] / np.where(scale > 0, scale, 1.0), readings[there, line]
-        if np.linalg.matrix_rank(rows, tol=1e-6) < n_unknown:
+    design /= np.where(scale > 0, scale, 1.0)
+    for rows in there.T:
+        if np.linalg.matrix_rank(design[rows], tol=1e-6) < n_unknown:
             raise DataError(
-                f"{len(z)} runs with readings do not determine the influence of {n_unknown - 1} plane(s)",
+                f"{np.count_nonzero(rows)} runs with readings do not determine the influence of "
+                f"{n_unknown - 1} plane(s)",
                 hint="a run as found, and one for each plane with a trial weight there",
             )
-        weight = 1 / noise.variance(z)
-        information = (rows.conj().T * weight) @ rows
-        inverse = np.linalg.inv(information)
-        mean = inverse @ (rows.conj().T @ (weight * z))
-        residual = z - rows @ mean
-        misfit += float(2 * np.sum(weight * np.abs(residual) ** 2))
-        dof += 2 * (len(z) - n_unknown)
-        means[line] = mean / scale
-        half = inverse / np.outer(scale, scale) / 2
-        joint[0, line, :, 0, line] = joint[1, line, :, 1, line] = half.real
-        joint[1, line, :, 0, line], joint[0, line, :, 1, line] = half.imag, -half.imag
-    return Influence(means, joint.reshape(2 * means.size, -1), misfit, dof)
+    # All readings (n_reading,), run by run, on all unknowns (n_reading, n).
+    whole = np.einsum("ru,lk->rlku", design, np.eye(n_line)).reshape(readings.size, -1)[there.ravel()]
+    z, mean = readings[there], np.zeros((n_line, n_unknown), np.complex128)
+    # Errors of the weights need the influence, which the first round finds without them.
+    for _ in range(ROUNDS if noise.weight else 1):
+        of_runs = [
+            noise.covariance(run.readings[seen], mean[seen, 1:], run.weights)
+            for run, seen in zip(runs, there, strict=True)
+        ]
+        errors = scipy.linalg.block_diag(*of_runs)
+        weighed = np.linalg.solve(errors, whole).conj().T
+        covariance = np.linalg.inv(weighed @ whole)
+        found = covariance @ (weighed @ z)
+        mean = found.reshape(mean.shape) / scale
+    residual = z - whole @ found
+    misfit = 2 * float((residual.conj() @ np.linalg.solve(errors, residual)).real)
+    size = np.tile(scale, n_line)
+    joint = real_covariance(np.asarray(covariance / np.outer(size, size), np.complex128))
+    return Influence(mean, joint, misfit, 2 * (z.size - found.size))
+
+
+def real_covariance(covariance: ComplexArray) -> FloatArray:
+    """Of all real, then all imaginary parts (2 n, 2 n) of circular numbers of E[e e^H] (n, n) [any unit]."""
+    real, imaginary = covariance.real / 2, covariance.imag / 2
+    return np.block([[real, -imaginary], [imaginary, real]])
 
 
 def square_of(drawn: ComplexArray) -> ComplexArray:
@@ -248,17 +305,16 @@ def residual_of(knowledge: Influence, weights: ComplexArray, noise: ReadingNoise
     """The vibration with *weights* (n_plane,) [kg m] set, as a reading shows it, by draws."""
     drawn = knowledge.draws()
     left = _drawn_residual(knowledge, drawn, np.concatenate([[1.0], weights]))
-    rng = np.random.default_rng(SEED + 1)
-    spread = np.sqrt(noise.variance(left) / 2)
-    left = left + spread * (rng.standard_normal(left.shape) + 1j * rng.standard_normal(left.shape))
+    left = left + noise.draws(left, drawn[..., 1:], weights, SEED + 1)
     sizes = np.abs(left)
     low, high = np.percentile(sizes, COVERED, axis=0)
     first, last = np.percentile(np.sqrt(np.mean(sizes**2, axis=1)), COVERED).tolist()
     before = float(np.sqrt(np.mean(np.abs(knowledge.mean[:, 0]) ** 2)))
     if weights.size < knowledge.mean.shape[0] and not knowledge.modelled:
-        upper = most_unbalance(knowledge, weights)
+        upper = most_unbalance(knowledge, weights, noise.weight)
     else:
-        upper = np.percentile(np.abs(_made_by_planes(drawn[:400]) + weights), 95, axis=0)
+        turned = 1 + noise.weight * _circular(np.random.default_rng(SEED + 5), (400, weights.size))
+        upper = np.percentile(np.abs(_made_by_planes(drawn[:400]) + turned * weights), 95, axis=0)
     if knowledge.narrow is not None:
         below = residual_of(knowledge.narrow, weights, noise)
         first, low = min(first, below.interval[0]), np.minimum(low, below.low)
@@ -271,31 +327,36 @@ def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
     return (np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0]
 
 
-def most_unbalance(knowledge: Influence, weights: ComplexArray) -> FloatArray:
-    """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m], by runs alone and more
-    lines than planes: those of the 95 % profile interval of the unbalance u in the planes, by draws about it.
+def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float = 0.0) -> FloatArray:
+    """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m] set to a *share* of
+    themselves [1], by runs alone and more lines than planes: those of the 95 % profile interval of the
+    unbalance u in the planes, by draws about it.
 
-    -ln p(u) = sum |z_0 - alpha u|^2 / s^2 over the lines, s^2 the variance of z_0 - alpha u, larger by what
-    no u explains. Draws of alpha would tell u too well where planes act nearly alike, since noise makes their
+    -ln p(u) = r^H V^-1 r, r = z_0 - alpha u over the lines, V(u) its covariance, larger by what no u
+    explains. Draws of alpha would tell u too well where planes act nearly alike, since noise makes their
     small difference larger. Equation (balance-unbalance).
     """
     z, alpha = knowledge.mean[:, 0], knowledge.mean[:, 1:]
     n_line, n_plane = alpha.shape
-    deviation = np.ones(n_line)
+    root: ComplexArray = np.eye(n_line, dtype=np.complex128)
     for _ in range(REWEIGHTED):
-        rows = alpha / deviation[:, None]
-        middle = np.linalg.lstsq(rows, z / deviation, rcond=None)[0]
-        deviation = np.sqrt(knowledge.variance_with(np.concatenate([[1.0], -middle])))
+        rows = np.linalg.solve(root, alpha)
+        middle = np.linalg.lstsq(rows, np.linalg.solve(root, z), rcond=None)[0]
+        root = np.linalg.cholesky(knowledge.covariance_with(np.concatenate([[1.0], -middle])))
     rng = np.random.default_rng(SEED + 4)
     normal = rng.standard_normal((2, DRAWS, n_plane)) / np.sqrt(rng.chisquare(TAILS, (DRAWS, 1)) / TAILS)
-    root = np.linalg.inv(np.linalg.cholesky(rows.conj().T @ rows)).conj().T
-    made = np.vstack([middle, middle + WIDER / np.sqrt(2) * (normal[0] + 1j * normal[1]) @ root.T])
+    spread = np.linalg.inv(np.linalg.cholesky(rows.conj().T @ rows)).conj()
+    made = np.vstack([middle, middle + WIDER / np.sqrt(2) * (normal[0] + 1j * normal[1]) @ spread])
     whole = np.column_stack([np.ones(len(made)), -made])
-    variance = np.einsum("lij,di,dj->dl", knowledge.covariance, whole, whole.conj()).real
-    square = np.sum(np.abs(whole @ knowledge.mean.T) ** 2 / variance, axis=1)
+    left = whole @ knowledge.mean.T
+    weighed = np.linalg.solve(knowledge.covariance_with(whole), left[..., None])[..., 0]
+    square = np.sum(left.conj() * weighed, axis=1).real
     least = float(np.min(square))
-    likely = 2 * (square - least) <= PROFILE * max(1.0, least / (n_line - n_plane))
-    return np.asarray(np.max(np.abs(made[likely] + weights), axis=0))
+    # What is left of the interval for each u, the error of setting its weights may take.
+    room = PROFILE * max(1.0, least / (n_line - n_plane)) - 2 * (square - least)
+    likely = room >= 0
+    reach = share * np.abs(weights) * np.sqrt(room[likely, None] / 2)
+    return np.asarray(np.max(np.abs(made[likely] + weights) + reach, axis=0))
 
 
 def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:
@@ -338,23 +399,24 @@ def next_runs(
     move the mean and narrow z_0 and alpha (preposterior analysis).
     """
     n_line = knowledge.mean.shape[0]
-    rng = np.random.default_rng(SEED + 2)
     truths = knowledge.draws(TRIED)
     if not knowledge.modelled:
         # Unbalance in the planes, and what they cannot make.
         made = (truths[..., 1:] @ _made_by_planes(truths)[..., None])[..., 0]
         truths[..., 0] = made + _unreachable_part(knowledge)
-    scatter = (rng.standard_normal((TRIED, n_line)) + 1j * rng.standard_normal((TRIED, n_line))) / np.sqrt(2)
     expected = {}
     for name, weights in candidates.items():
         whole = np.concatenate([[1.0], weights])
-        square = np.abs(knowledge.mean @ whole) ** 2 + knowledge.variance_with(whole)
-        variance = noise.variance(np.sqrt(square))
-        gain, joint, _ = knowledge.gain(weights, variance, np.arange(n_line))
-        means = knowledge.move(gain, (truths - knowledge.mean) @ whole + np.sqrt(variance) * scatter).mean
+        size = np.sqrt(np.abs(knowledge.mean @ whole) ** 2 + knowledge.variance_with(whole))
+        errors = noise.covariance(size, knowledge.mean[:, 1:], weights)
+        gain, joint, _ = knowledge.gain(weights, errors, np.arange(n_line))
+        sizes = np.broadcast_to(size, (TRIED, n_line))
+        scatter = noise.draws(sizes, truths[..., 1:], weights, SEED + 2)
+        means = knowledge.move(gain, (truths - knowledge.mean) @ whole + scatter).mean
         spread = replace(knowledge, joint=joint).covariance.sum(axis=0).T
         chosen = best_weights(means.conj().swapaxes(-1, -2) @ means + spread)
         left = (truths[..., 1:] @ chosen[..., None])[..., 0] + truths[..., 0]
-        squares = np.sum(np.abs(left) ** 2 + noise.variance(left), axis=-1)
+        set_anew = np.abs(truths[..., 1:]) ** 2 @ (noise.weight * np.abs(chosen[..., None])) ** 2
+        squares = np.sum(np.abs(left) ** 2 + noise.variance(left) + set_anew[..., 0], axis=-1)
         expected[name] = float(np.sqrt(np.mean(squares) / n_line))
     return expected

@@ -68,6 +68,10 @@ AXES = ("xx", "xy", "yx", "yy")
 # Standard errors of noise beyond which the shaft is said to move, and the share of the relative motion from
 # which it matters.
 SEEN, MOVES = 3.0, 0.002
+AGAINST = "the motion of the stator against it (accelerations against displacements)"
+# Motion of the shaft from which displacements may be turned (1.1 deg), the share of it that is left then, and
+# how near to an axis [deg] a turn is one of signs or names.
+TURNED, LEFT, ALONG = 0.02, 0.25, 10.0
 # Standard deviations of chi-square below its mean beyond which the residual is too small.
 SURE = 5.0
 # Share of the standard error of noise below which an error has cancelled against that of the baseline.
@@ -156,9 +160,9 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
     moved = shaft_motion(stator)
     if moved is None or moved[1] < SEEN or moved[0] < MOVES:
         return ()
-    share = (
-        f"{per_cent(moved[0])} of the motion of the stator against it (accelerations against displacements)"
-    )
+    if moved[0] > TURNED and (turned := turned_displacements(stator, moved[0])) is not None:
+        return (turned,)
+    share = f"{per_cent(moved[0])} of {AGAINST}"
     if given.accelerated or effective_forces(stator):
         what = (
             f"the shaft moves by {share}; the balance is of the stator, so that no coefficient is wrong by it"
@@ -169,6 +173,45 @@ def motion_findings(stator: Stator, given: Given) -> tuple[Finding, ...]:
         "stiffness are wrong. Give `stator_mass`, or forces less mass times acceleration as derived channels"
     )
     return (Finding("shaft-moves", message),)
+
+
+def turned_displacements(stator: Stator, moved: float) -> Finding | None:
+    """A warning where the displacements stand turned or mirrored against the accelerations: by the orthogonal
+    Q that brings D next to X_s = -A / w^2 (Procrustes problem, Schoenemann 1966), nothing is left of the most
+    of the motion *moved* [1] of the shaft. Equation (floating-turned).
+
+    A shaft that moves follows the film's force G H D, whose course over frequency no Q has.
+    """
+    axes = stator.axes
+    absolute, relative = -axes[..., 4:] / stator.omega[:, None, None] ** 2, axes[..., 2:4]
+    # Every line counts alike: amplitudes fall by decades over the band.
+    sizes = np.sum(np.abs(absolute) ** 2 + np.abs(relative) ** 2, axis=(1, 2))
+    left, _, right = np.linalg.svd(np.einsum("lri,lrj,l->ij", absolute, relative.conj(), 1 / sizes).real)
+    turn = left @ right
+    rows = np.vstack([stator.to_axes[:2], turn @ stator.to_axes[2:4], stator.to_axes[4:]])
+    after = shaft_motion(replace(stator, to_axes=rows))
+    if after is None or after[0] > LEFT * moved:
+        return None
+    angle = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+    if np.linalg.det(turn) > 0:
+        what, cure = f"turned by {angle:.3g} deg", "add that to their `dof`"
+        if abs(angle) > 180 - ALONG:
+            cure = "`invert: true` for both, or for both accelerations"
+    else:
+        what, cure = (
+            f"mirrored about the axis at {round(angle / 2) % 180} deg",
+            "compare `dof` with the wiring",
+        )
+        if abs(angle) < ALONG or abs(angle) > 180 - ALONG:
+            cure = f"`invert: true` for the one along {'y' if abs(angle) < ALONG else 'x'}"
+        elif abs(angle - 90) < ALONG:
+            cure = "the channels of x and y are swapped"
+    message = (
+        f"the displacements stand {what} against the accelerations: with that the shaft moves by "
+        f"{per_cent(after[0])} of {AGAINST}, in place of {per_cent(moved)}. Coefficients are wrong by "
+        f"it; {cure}"
+    )
+    return Finding("shaft-moves", message)
 
 
 def effective_forces(stator: Stator) -> bool:

@@ -161,6 +161,8 @@ def _squeeze(film: Film) -> FloatArray:
 
 DEFAULT_MESH = FilmMesh(120, 30)
 MOST_CELLS_AROUND = 960
+# In an arc as long as the bearing, within which the pressure of a short one ends.
+CELLS_PER_LENGTH = 9
 WIDEST_GROOVE = 2 * np.pi / 3
 
 
@@ -330,12 +332,19 @@ def converged_equilibrium(
     load: tuple[float, float],
     speed: float,
     tolerance: float = 0.01,
-    mesh: FilmMesh = DEFAULT_MESH,
+    mesh: FilmMesh | None = None,
 ) -> JournalEquilibrium:
     """The equilibrium on the coarsest mesh, from *mesh* on and doubling, with coefficient errors below
     *tolerance* of the largest: a third of the change from half the cells each way (second order). FitError
-    where the finest mesh does not do, ConfigError where the first cannot be halved. Equation (jour-mesh).
+    where the finest mesh does not do, ConfigError where the first cannot be halved. Without a *mesh* it
+    begins with CELLS_PER_LENGTH: where a short film ends, the order does not hold. Equation (jour-mesh).
     """
+    if mesh is None:
+        mesh = DEFAULT_MESH
+        while mesh.around < min(
+            CELLS_PER_LENGTH * np.pi * bearing.diameter / bearing.length, MOST_CELLS_AROUND
+        ):
+            mesh = FilmMesh(2 * mesh.around, 2 * mesh.across)
     coarse = journal_equilibrium(bearing, load, speed, mesh.half())
     while mesh.around <= MOST_CELLS_AROUND:
         fine = journal_equilibrium(bearing, load, speed, mesh)

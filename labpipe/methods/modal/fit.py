@@ -241,7 +241,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     if not (has_noise(sides.measured) or correlation):
-        fit = model_error.with_window(fit, model_error.narrow_modes(estimate.refined, sides.lines))
+        fit = _with_window(fit, estimate.refined, sides.lines)
     beside = (*loaded, *quality_findings(response, rows, columns, chosen))
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
     refined = estimate.refined
@@ -427,7 +427,14 @@ def _report(
     judged = refined.converged and (settings.judged or moving)
     if judged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
         errors = model_error.model_errors(
-            measured, beyond, estimate, parameters, misfit, moved, moving=moving
+            measured,
+            beyond,
+            estimate,
+            parameters,
+            misfit,
+            moved,
+            moving=moving,
+            driving=model_error.strongest_points(refined, sides.driving_points),
         )
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are not a fault of the modes.
@@ -496,3 +503,42 @@ def _curve(
         inputs=tuple(port.label for port in inputs),
         form=named,
     )
+
+
+# Lines in the half-power width below which a window is as wide as the mode.
+LEAST_LINES = 2.0
+# Half-power width of a Hann window [lines], and what is said of a damping that it may have made.
+HANN_WIDTH = 1.44
+WINDOW = "hardly wider than a line: a window of the analyser may make the damping larger"
+
+
+def _with_window(fit: Fit, refined: Refined, lines: FrfLines) -> Fit:
+    """The fit whose dampings of modes hardly wider than a line may be those of a window of the analyser, down
+    to what that of Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE
+    66 (1978) 51; of convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so
+    masses, are areas, which a window leaves; c = 2 zeta w_n m follows zeta. A warning names the modes.
+    """
+    widths = (-2 * refined.poles.real / lines.spacing)[model_error.ascending(refined)]
+    narrow = {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
+    if not narrow:
+        return fit
+    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
+    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+    message = (
+        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
+        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
+        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
+        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
+    )
+    left = {
+        f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
+        for number, width in narrow.items()
+        for name in ("zeta", "eta", "c")
+    }
+    parameters = tuple(
+        replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)
+        if parameter.name in left and parameter.ci95 is not None and parameter.ci95[0] > 0
+        else parameter
+        for parameter in fit.parameters
+    )
+    return replace(fit, parameters=parameters, findings=(*fit.findings, Finding("leakage", message)))

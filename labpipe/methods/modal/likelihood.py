@@ -56,15 +56,7 @@ class FrfLines:
 
     def functions(self, poles: ComplexArray) -> PoleFunctions:
         """`pole_functions` of *poles* (n_mode,) [rad/s] as the lines show them: with what leaks."""
-        if self.leakage is None:
-            return pole_functions(self.s, poles, self.hysteretic)
-        every = pole_functions(1j * self.leakage.grid[0], poles, self.hysteretic)
-        (a, b), (a_slope, b_slope) = (map(self._average, pair) for pair in every)
-        return (a, b), (a_slope, b_slope)
-
-    def _average(self, values: ComplexArray) -> ComplexArray:
-        assert self.leakage is not None
-        return self.leakage.average(values[:, :, None])[..., 0]
+        return leaking_functions(self.omega, poles, self.leakage, self.hysteretic)
 
     @property
     def spacing(self) -> float:
@@ -438,6 +430,17 @@ def pole_functions(s: ComplexArray, poles: ComplexArray, hysteretic: bool) -> Po
         return (a - other, none), (a**2 + other**2, none)
     b = 1 / (s[:, None] - poles.conj())
     return (a, b), (a**2, b**2)
+
+
+def leaking_functions(
+    omega: FloatArray, poles: ComplexArray, leakage: Leakage | None, hysteretic: bool
+) -> PoleFunctions:
+    """`pole_functions` on the lines omega (n_line,) [rad/s] with the *leakage* of random data."""
+    if leakage is None:
+        return pole_functions(1j * omega, poles, hysteretic)
+    every = pole_functions(1j * leakage.grid[0], poles, hysteretic)
+    (a, b), slopes = (tuple(leakage.average(part[:, :, None])[..., 0] for part in pair) for pair in every)
+    return (a, b), (slopes[0], slopes[1])
 
 
 def _sums(terms: ResidualTerms, poles: ComplexArray) -> _GramSums:

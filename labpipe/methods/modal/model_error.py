@@ -11,16 +11,16 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, pole_functions, pseudo_inverse
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
-from labpipe.records.identification import Fit
 from labpipe.records.response import Port
 
 
@@ -141,7 +141,7 @@ def modal_parameters(
     if mass is None and driving:
         functions.insert(0, ("m", "kg", weigh))
     strongest = strongest_points(refined, driving)
-    ordered = list(enumerate(_ascending(refined), start=1))
+    ordered = list(enumerate(ascending(refined), start=1))
     parameters = [
         replace(_value(refined, mode, None, n, function, dof), derived=False)
         for n, mode in ordered
@@ -165,13 +165,13 @@ def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple
     def size(place: DrivingPoint, mode: int) -> float:
         return float(abs(refined.shapes[place.output, mode] * refined.participation[mode, place.input]))
 
-    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in _ascending(refined))
+    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in ascending(refined))
 
 
 def frequency_correlation(refined: Refined) -> FloatArray:
     """Correlation (2 n_mode, 2 n_mode) [1] of f_n_1, zeta_1, f_n_2, zeta_2 ..."""
     slopes = np.zeros((2 * refined.poles.size, refined.covariance.shape[0]))
-    for row, mode in enumerate(_ascending(refined)):
+    for row, mode in enumerate(ascending(refined)):
         values, _ = _pole_and_residue(refined, mode, None)
         for number, (_, _, function) in enumerate(_pole_functions(refined)):
             slopes[2 * row + number, 2 * mode : 2 * mode + 2] = _gradient(function, values)
@@ -233,7 +233,7 @@ def _gradient(function: Function, x: FloatArray) -> FloatArray:
     return np.array([function(x + change) - function(x - change) for change in changes]) / (2 * steps)
 
 
-def _ascending(refined: Refined) -> list[int]:
+def ascending(refined: Refined) -> list[int]:
     return sorted(range(refined.poles.size), key=lambda mode: float(abs(refined.poles[mode])))
 
 
@@ -263,6 +263,7 @@ def model_errors(
     moved: Sequence[MovedMode] = (),
     *,
     moving: bool = False,
+    driving: Sequence[DrivingPoint] = (),
 ) -> dict[int, ModelError]:
     """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
     left out. *wide*: the same FRFs beyond the band. Without *misfit* of the whole only modes that fill the
@@ -280,7 +281,7 @@ def model_errors(
     every = misfit or moving or bool(moved)
     width = measured.omega[-1] - measured.omega[0]
     errors_by_mode: dict[int, ModelError] = {}
-    for number, mode in enumerate(_ascending(refined), start=1):
+    for number, mode in enumerate(ascending(refined), start=1):
         if not every and width >= 2 * REACH * -2 * refined.poles[mode].real:
             continue
         try:
@@ -290,7 +291,9 @@ def model_errors(
             continue
         if mixed.sound < 0.5 or scatter is not None:
             mixed = settle(mixed, _elsewhere(wide, estimate, mode, band, scatter))
-        rows = _rows(base, number, values)
+        place = driving[number - 1] if driving else None
+        amplitude = (0.0, 0.0) if place is None else band.log_amplitude(place, base.theta[:2])
+        rows = _rows(base, number, values, amplitude)
         if not every and (mixed.sound > SOUND_SHARE if scatter is None else _survives(mixed)):
             continue
         seen, shifted, of_points = band.points()
@@ -376,7 +379,7 @@ def with_model_errors(
     width as one where the noise is that of the residual. An unstable one has no interval. Intervals of poles
     hold those of the modes that may stand *instead* of them.
     """
-    poles = estimate.refined.poles[_ascending(estimate.refined)]
+    poles = estimate.refined.poles[ascending(estimate.refined)]
     stated: list[Parameter] = []
     for parameter in parameters:
         number = int(parameter.name.rpartition("_")[2])
@@ -401,7 +404,7 @@ def with_model_errors(
 class _Band:
     """A mode's lines without what the other modes make of them: frequency (n_line,) [Hz], frf and std
     (n_line, n_output, n_input) [m/N], *columns* (n_output, n_input, n): residues of the mode and of its
-    neighbours, the mode first.
+    neighbours, the mode first. *leakage* of random data, which beside one mode looks like one that moves.
     """
 
     pole: complex
@@ -409,6 +412,7 @@ class _Band:
     frf: ComplexArray
     std: FloatArray
     columns: ComplexArray
+    leakage: Leakage | None = None
 
     @classmethod
     def of(
@@ -429,7 +433,8 @@ class _Band:
             near = (frequency >= edges[0]) & (frequency <= edges[1])
         residues = refined.shapes[:, None, :] * refined.participation.T
         flat = residues.reshape(-1, refined.poles.size)
-        (a, b), _ = pole_functions((1j * measured.omega[near]), refined.poles, refined.hysteretic)
+        leakage = measured.leakage and measured.leakage.choose(near)
+        (a, b), _ = leaking_functions(measured.omega[near], refined.poles, leakage, refined.hysteretic)
         a[:, mode] = b[:, mode] = 0.0
         others = (a @ flat.T + b @ flat.T.conj()).reshape(-1, *shape)
         power = scatter
@@ -439,7 +444,7 @@ class _Band:
         std = np.broadcast_to(np.sqrt(power).reshape(-1, *shape), measured.matrix[near].shape)
         is_near = (np.abs(natural - f_r) <= NEAR * width) & (np.arange(natural.size) != mode)
         columns = residues[:, :, [mode, *np.flatnonzero(is_near)]]
-        return cls(pole, frequency[near], measured.matrix[near] - others, std, columns)
+        return cls(pole, frequency[near], measured.matrix[near] - others, std, columns, leakage)
 
     def curve(self, outputs: slice) -> Curve:
         frf, std = (part[:, outputs].reshape(self.frequency.size, -1) for part in (self.frf, self.std))
@@ -447,7 +452,25 @@ class _Band:
         columns = self.columns[outputs].reshape(frf.shape[1], -1)[:, : max(frf.shape[1] // 2, 1)]
         weight = 1 / np.sqrt(np.mean(std**2, axis=0))
         filters = np.linalg.pinv(columns * weight[:, None])[0] * weight
-        return Curve(self.frequency, frf @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
+        curve = Curve(self.frequency, frf @ filters, np.sqrt((std**2) @ np.abs(filters) ** 2))
+        if self.leakage is None:
+            return curve
+        return replace(curve, smear=self.leakage.weights, omega=self.leakage.grid[0])
+
+    def log_amplitude(self, place: DrivingPoint, q: FloatArray) -> tuple[float, float]:
+        """ln of the residue of the FRF at a driving point over that of *columns*, with the pole at *q* = (ln
+        f_n, ln zeta), and its standard error by noise [1].
+        """
+        residue = self.columns[place.output, place.input, 0]
+        values, std = (part[:, place.output, place.input] / residue for part in (self.frf, self.std))
+        curve = replace(self.curve(slice(None)), values=values, std=np.abs(std))
+        model = ModeModel(curve, residual=TERMS)
+        theta = model.start(q)
+        rows = curve.weight(model.at(theta)[1][q.size :])
+        along = np.zeros(len(rows))
+        along[:2] = theta[q.size : q.size + 2] / np.sum(theta[q.size : q.size + 2] ** 2)
+        error = float(np.sqrt(along @ np.linalg.inv(rows @ rows.T) @ along))
+        return float(np.log(np.hypot(*theta[q.size : q.size + 2]))), error
 
     def points(self) -> tuple[list[int], FloatArray, FloatArray]:
         """Points that see the mode, (ln f_n, ln zeta) of each (n, 2) and their errors by noise (n, 2) [1]."""
@@ -505,11 +528,14 @@ def _ordinary(curve: Curve, pole: complex, terms: int = TERMS) -> Fitted:
     return fit
 
 
-def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, StatedRow]:
+def _rows(
+    base: Fitted, number: int, values: dict[str, float], at_driving_point: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, StatedRow]:
     """f_n and zeta of the filtered line.
 
     M ~ 1 / (w R), k ~ w / R, c ~ zeta / R follow its frequency, damping and amplitude, which at the driving
-    point is that of one FRF; under a given mass k ~ w^2, c ~ zeta w.
+    point is that of one FRF: *at_driving_point*, ln of R over that of the modes of the whole band, and its
+    standard error; under a given mass k ~ w^2, c ~ zeta w.
     """
     kept = base.theta[base.model.kept]
     unit = np.eye(kept.size)
@@ -519,55 +545,15 @@ def _rows(base: Fitted, number: int, values: dict[str, float]) -> dict[str, Stat
         # A loss factor is twice the damping ratio of the same peak.
         rows[f"eta_{number}"] = StatedRow(unit[1], float(np.log(factor) - kept[1]))
     alone = f"m_{number}" in values
-    of_mass = amplitude - unit[0] if alone else np.zeros(kept.size)
+    of_mass, logs = np.zeros(kept.size), {}
+    if alone:
+        of_mass, log_w = amplitude - unit[0], float(kept[0] + np.log(2 * np.pi))
+        mass = np.log(abs(values[f"m_{number}"]) * values[f"f_n_{number}"]) - kept[0] - at_driving_point[0]
+        logs = {"m": mass, "k": mass + 2 * log_w, "c": mass + np.log(2) + kept[1] + log_w}
     for letter, row in (("m", of_mass), ("k", of_mass + 2 * unit[0]), ("c", of_mass + unit[0] + unit[1])):
         value = values.get(f"{letter}_{number}", 0.0)
         if value != 0:
-            offset = float(np.log(abs(value)) - row @ kept)
-            rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=alone)
+            at_base = logs[letter] if alone else float(np.log(abs(value)))
+            offset = float(at_base - row @ kept)
+            rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=at_driving_point[1] if alone else None)
     return rows
-
-
-# Lines in the half-power width below which a window is as wide as the mode.
-LEAST_LINES = 2.0
-# Half-power width of a Hann window [lines], and what is said of a damping that it may have made.
-HANN_WIDTH = 1.44
-WINDOW = "hardly wider than a line: a window of the analyser may make the damping larger"
-
-
-def narrow_modes(refined: Refined, lines: FrfLines) -> dict[int, float]:
-    """Half-power width -2 Re lambda over the distance of the lines [1] of modes hardly wider than one, by
-    number in ascending frequency.
-    """
-    widths = (-2 * refined.poles.real / lines.spacing)[_ascending(refined)]
-    return {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
-
-
-def with_window(fit: Fit, narrow: Mapping[int, float]) -> Fit:
-    """The fit whose dampings of *narrow* modes may be those of a window of the analyser, down to what that of
-    Hann leaves: of a width W of a peak about (W^2 - 1.44^2) / W [lines] (Harris, Proc. IEEE 66 (1978) 51; of
-    convolved Lorentz and Gauss curves, Olivero and Longbothum 1977). Residues, and so masses, are areas,
-    which a window leaves; c = 2 zeta w_n m follows zeta. A warning names the modes.
-    """
-    if not narrow:
-        return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
-    message = (
-        f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
-        "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
-        "The interval of the damping holds what a Hann window may add to it. Measure with finer lines (a "
-        "longer `block`), or say `window:` in the entry of an FRF file under frfs:"
-    )
-    left = {
-        f"{name}_{number}": max(1 - (HANN_WIDTH / width) ** 2, 0.0)
-        for number, width in narrow.items()
-        for name in ("zeta", "eta", "c")
-    }
-    parameters = tuple(
-        replace(parameter, ci95=(left[parameter.name] * parameter.ci95[0], parameter.ci95[1]), reason=WINDOW)
-        if parameter.name in left and parameter.ci95 is not None and parameter.ci95[0] > 0
-        else parameter
-        for parameter in fit.parameters
-    )
-    return replace(fit, parameters=parameters, findings=(*fit.findings, Finding("leakage", message)))

@@ -156,6 +156,55 @@ def test_readings_beyond_the_stated_noise_are_seen():
     assert known.dof == 16 and known.misfit > 100
 
 
+def test_errors_of_the_weights_are_common_to_all_readings():
+    """z_0 + alpha w (1 + e_r) of each run r: of exact readings as found and of two runs with a weight w known
+    to 2 %, the best estimate has alpha (1 + (e_1 + e_2) / 2) in every line.
+    """
+    rng, share = np.random.default_rng(9), 0.02
+    z_0, alpha = rig(rng, 4, 1)
+    noise = ReadingNoise(1e-5, 0.0, share)
+    weights = np.array([3.0 + 1j])
+    none = BalanceRun("0", 0 * weights, z_0)
+    runs = [none, *(BalanceRun(str(n), weights, z_0 + alpha @ weights) for n in (1, 2))]
+    known = influence(runs, noise)
+    expected = share**2 / 2 * alpha @ alpha.conj().T
+    covariance = known.covariance_of_all[:, 1, :, 1]
+    np.testing.assert_allclose(covariance, expected, atol=1e-6 * np.max(np.abs(expected)))
+    # Set anew with an error of its own: E|z|^2 = |z_0|^2 (s^2 / 2 + s^2) of w = -z_0 / alpha in each line.
+    left = residual_of(known, best_weights(known.square), noise)
+    size = np.sqrt(np.mean(np.abs(z_0) ** 2))
+    assert left.rms == pytest.approx(size * share * 1.5**0.5, rel=0.05)
+    # |u + w (1 + e)| / |w|, e of 1.5 s^2, by its own chi-square of one number: sqrt(1.5 x 3.841 / 2) s.
+    reach = np.sqrt(1.5 * 3.841 / 2) * share * np.abs(best_weights(known.square))
+    np.testing.assert_allclose(left.unbalance, reach, rtol=0.1)
+
+
+def test_readings_that_scatter_more_widen_every_interval(labpipe, tmp_path):
+    """Five runs more of the example with errors of 10 % where 1 % was stated (Birge: sqrt(chi2 / dof))."""
+    file = yaml.safe_load(EXAMPLE.read_text())
+    rng = np.random.default_rng(3)
+    for number in range(5):
+        readings = {}
+        for name, text in file["runs"][0]["readings"].items():
+            size, degrees = float(text.split()[0]), float(text.split()[3])
+            error = (rng.standard_normal() + 1j * rng.standard_normal()) / 2**0.5
+            z = at(size, degrees) * (1 + 0.1 * error)
+            readings[name] = f"{abs(z):.6f} um at {np.degrees(np.angle(z)):.6f} deg"
+        file["runs"].append({"name": f"again {number}", "readings": readings})
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(file))
+    ended = labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
+    found = json.loads((tmp_path / "b.json").read_text())
+    widened = np.sqrt(found["chi2"]["value"] / found["chi2"]["dof"])
+    assert found["widened"] == pytest.approx(widened) and widened > 3
+    assert f"All intervals count {widened:.3g} times" in ended.out
+    stated = f"repeatability={widened:.9g} %"
+    labpipe("balance", tmp_path / "b.yaml", "--json", tmp_path / "c.json", "--set", stated)
+    same = json.loads((tmp_path / "c.json").read_text())
+    assert same["widened"] == 1.0
+    # By other draws.
+    np.testing.assert_allclose(found["residual"]["ci95"], same["residual"]["ci95"], rtol=0.02)
+
+
 def model(rng: np.random.Generator, n_line: int, n_plane: int, share: float) -> tuple[Influence, np.ndarray]:
     """A model whose influence coefficients have errors of a *share*, alike in all lines and one of each, and
     whose unbalance has errors as well: what it says, and the root of its covariance.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from labpipe.methods.floating_bearing import findings
@@ -16,6 +17,8 @@ from labpipe.records.finding import Parameter
 from labpipe.simulate.virtual_rigs import recordings
 from labpipe.spectra.all_channels import channel_spectra
 from labpipe.spectra.settings import FrfSettings
+from tests.methods.floating_bearing import floating_rig
+from tests.methods.floating_bearing.floating_rig import JOURNAL, SEAL, kcm
 
 
 @pytest.mark.parametrize(
@@ -79,6 +82,43 @@ def test_a_shaft_that_moves_is_seen() -> None:
     stator = stator_of(channel_spectra(recordings(rig, 1, ["film-plus"]), LINES), None, (), ())
     moved = shaft_motion(stator)
     assert moved is not None and moved[1] > 10 and 0.02 < moved[0] < 0.08
+
+
+@pytest.mark.parametrize(
+    ("turn", "message"),
+    [
+        # A probe at +30 deg reads cos 30 x + sin 30 y.
+        ([[0.866025404, 0.5], [-0.5, 0.866025404]], "turned by"),
+        ([[-1.0, 0.0], [0.0, -1.0]], "`invert: true` for both"),
+        ([[0.0, 1.0], [1.0, 0.0]], "the channels of x and y are swapped"),
+        ([[1.0, 0.0], [0.0, -1.0]], "`invert: true` for the one along y"),
+        ([[-1.0, 0.0], [0.0, 1.0]], "`invert: true` for the one along x"),
+        ([[1.0, 0.0], [0.0, 1.0]], "the shaft moves by"),
+    ],
+)
+@pytest.mark.parametrize("film", [JOURNAL, SEAL, {"k": [[1e7, 3e7], [-3e7, 1e7]], "c": [[0.0, 0.0]] * 2}])
+def test_displacements_against_the_accelerations(
+    film: dict[str, list[list[float]]], turn: list[list[float]], message: str
+) -> None:
+    """D' = R D of probes elsewhere than stated, beside a shaft that moves by up to 7 %; of probes that stand
+    right it is the shaft that moves, or nothing does.
+    """
+    shaft = kcm([[4e9, 0.0], [0.0, 4e9]], [[2e4, 0.0], [0.0, 2e4]])
+    rig = floating_rig.FloatingRig(kcm(**film), rotor=shaft)
+    spectra = rig.draw(np.random.default_rng(1))
+    probes = np.eye(6)
+    probes[2:4, 2:4] = turn
+    turned = replace(
+        spectra, vectors=spectra.vectors @ probes.T, covariance=probes @ spectra.covariance @ probes.T
+    )
+    given = cast("Any", SimpleNamespace(accelerated=True))
+    found = motion_findings(stator_of(turned, None, (), ()), given)
+    right = np.array_equal(turn, np.eye(2))
+    assert all(finding.level == ("note" if right else "warning") for finding in found)
+    text = "".join(finding.message for finding in found)
+    if message == "turned by":
+        assert float(text.partition("turned by ")[2].partition(" deg")[0]) == pytest.approx(30.0, abs=0.5)
+    assert message in text or (right and not found)
 
 
 def test_a_sign_is_unphysical_beyond_its_uncertainty_alone() -> None:
