@@ -366,10 +366,16 @@ def _lines(
     merged = [_average(group) for group in groups]
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
     repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
+    modelled = sum(_is_modelled((d.stop - d.start) / rate, *settling[:2]) for d in dwells)
+    left_out = f"{settling[0]:.3g} s are left out after each step"
+    if modelled:
+        left_out += (
+            f", of {modelled} short dwell(s) {settling[1]:.3g} s, the rest of their transient is modelled"
+        )
     message = (
         f"'{source.name}': {len(merged)} frequencies{repeats}, "
-        f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {settling[0]:.3g} s are "
-        f"left out after each step; {100 * used:.0f} % of the record is used"
+        f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {left_out}; "
+        f"{100 * used:.0f} % of the record is used"
     )
     return merged, note("dwells", message)
 
@@ -407,6 +413,11 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Dwel
     return courses
 
 
+def _is_modelled(length: float, settle: float, clear: float) -> bool:
+    """Whether too little of a dwell of this *length* is left by the times of settle_times [s]."""
+    return clear < settle and settle > (1 - SETTLED_SHARE) * length
+
+
 def _line(
     source: SampleSource,
     samples: FloatArray,
@@ -419,8 +430,7 @@ def _line(
     """
     rate, (settle, clear, tau, of_force, skip) = source.sample_rate, settling
     length = (dwell.stop - dwell.start) / rate
-    is_modelled = clear < settle and settle > (1 - SETTLED_SHARE) * length
-    if is_modelled:
+    if is_modelled := _is_modelled(length, settle, clear):
         settle, of_force = clear, min(of_force, SETTLED_SHARE * length)
     start, begin = (
         dwell.start + int(np.ceil(max(time * rate, skip / dwell.frequency))) for time in (settle, of_force)
