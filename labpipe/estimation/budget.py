@@ -274,7 +274,8 @@ def sources_of(setup: Setup, measured: Measured) -> list[tuple[uncertain.Uncerta
         for number, port in enumerate(ports)
         for calibration in port.uncertainties
     ]
-    entries += [(error.uncertainty, partial(_add_error, error)) for error in measured.errors]
+    whole = measured.plus_offset(measured.matrix)
+    entries += [(error.uncertainty, partial(_add_error, error, whole)) for error in measured.errors]
     if (mass := mass_uncertainty(setup.settings)) is not None:
         entries.append((mass, _add_mass))
     for name, uncertainty in support_uncertainties(setup.settings.subtract):
@@ -328,10 +329,14 @@ def _misalign(number: int, sign: float, case: Case, error: float) -> Case:
     return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
 
 
-def _add_error(matrix_error: uncertain.MatrixError, case: Case, error: float) -> Case:
-    """What the error of a number in a sum of channels does to the whole matrix, in proportion to it."""
-    share = error / matrix_error.uncertainty.std_error
-    return _with_matrix(case, case.measured.matrix + share * matrix_error.change)
+def _add_error(matrix_error: uncertain.MatrixError, whole: ComplexArray, case: Case, error: float) -> Case:
+    """What the error of a number in a sum of channels does to the whole matrix, in proportion to it; that of
+    noise of a force to each element, which was *whole* (n_line, n_output, n_input) [m/N] when measured.
+    """
+    change, measured = error / matrix_error.uncertainty.std_error * matrix_error.change, case.measured
+    if matrix_error.by_repeat:
+        change = change * measured.plus_offset(measured.matrix) / np.where(whole == 0, 1.0, whole)
+    return _with_matrix(case, measured.matrix + change)
 
 
 def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]:

@@ -30,8 +30,9 @@ ROUNDS = 50
 # Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures:
 # 0.05-0.45).
 PRIOR_SCALE = 0.3
-# Points on which tau is integrated.
-N_TAU = 80
+# Edges in u of the points on which tau is integrated: close towards 0, where repeats scatter by far less than
+# the prior's scale.
+TAU_EDGES = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 240), np.linspace(0.1, 1.0, 145)[1:]])
 # Repeats from which on a curvature, and an order in time, can be seen, and their critical values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
@@ -123,7 +124,7 @@ def repeat_mean(
     n, n_column = columns.shape
     if n <= n_column:
         raise FitError(f"{n} repeats do not tell {n_column} numbers and a spread", hint="record more repeats")
-    taus = scale * np.tan(np.pi * (np.arange(N_TAU) + 0.5) / N_TAU / 2)
+    taus = scale * np.tan(np.pi * (TAU_EDGES[1:] + TAU_EDGES[:-1]) / 4)
     weights = 1 / (variances + taus[:, None] ** 2)
     normal = np.einsum("tn,np,nq->tpq", weights, columns, columns)
     inverse = np.linalg.inv(normal)
@@ -132,7 +133,7 @@ def repeat_mean(
     residuals = values - solutions @ columns.T
     squares = np.sum(weights * residuals**2, axis=1)
     logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - squares)
-    shares = np.exp(logarithm - logarithm.max())
+    shares = np.exp(logarithm - logarithm.max()) * np.diff(TAU_EDGES)
     shares /= shares.sum()
     solution = shares @ solutions
     low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))

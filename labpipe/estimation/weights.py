@@ -141,8 +141,8 @@ def fitted_uncertainty(
     residual of a fit with *jacobian* (n_equation, n_parameter) and *inverse* (J^T J)^-1.
 
     The matrix *noise* replaces *inflation* and *shared* of the *uncertainty*. Under an exponential window
-    errors of the noise are a common factor of a resonance's weights, and cost no efficiency. Equation
-    (est-ml-covariance).
+    errors of the noise are common to a resonance: of one response a factor of its weights, which costs no
+    efficiency; of more, *inflation* over that of one. Equation (est-ml-covariance).
     """
     residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
     dof = jacobian.shape[0] - jacobian.shape[1]
@@ -151,7 +151,9 @@ def fitted_uncertainty(
     excess = uncertainty.excess * residual.mean / dof
     residual_dof = _residual_dof(measured, dof, shared) if estimated else np.inf
     changed = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
-    lost = uncertainty.inflation / measured.shared_noise if measured.noise is None else 1.0
+    lost = uncertainty.inflation / measured.shared_noise
+    if measured.noise is not None and estimated:
+        lost *= ((measured.noise_dof - 1) ** 2 - 1) / measured.noise_dof**2
     return lost * residual.covariance, changed
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
@@ -95,6 +96,11 @@ SEEN = 4.0
 LEFT = 0.2
 # Noise of a block, of its amplitude, below which a transient has settled.
 LEAST_NOISE = 1e-4
+# Where less than this share of a dwell is settled, its transient is modelled, from where it is so many times
+# the noise of a block: modes that decay faster are gone there, and what remains shows its pole.
+SETTLED_SHARE, CLEAR = 0.5, 10.0
+# Relative error of the decay that all dwells show together, for a single dwell.
+DECAY_ERROR = 0.3
 
 
 @dataclass(frozen=True)
@@ -121,8 +127,9 @@ class DwellCourse:
         )
 
 
-def settle_time(courses: Sequence[DwellCourse]) -> float:
-    """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result; 0
+def settle_times(courses: Sequence[DwellCourse]) -> tuple[float, float, float]:
+    """Time [s] after each step until the transient is below LEFT standard errors of every dwell's result,
+    the earlier one at which it is CLEAR times the noise of a block, and the time constant of its decay; 0
     where none is seen: the excess over the noise is continued from where it is last seen. DataError when the
     transient outlasts the dwells, and without a dwell. Equation (frf-settle).
     """
@@ -130,12 +137,12 @@ def settle_time(courses: Sequence[DwellCourse]) -> float:
         what = f"no dwell has {2 * LEAST_BLOCKS} periods, so none shows its transient"
         raise DataError(what, hint="state `settle`")
     with contextlib.suppress(DataError):
-        return _settling_time(courses, 2)
+        return _settling_times(courses, 2)
     # A transient that is seen beyond the middle may be over in the last quarter.
-    return _settling_time(courses, 4)
+    return _settling_times(courses, 4)
 
 
-def _settling_time(courses: Sequence[DwellCourse], part: int) -> float:
+def _settling_times(courses: Sequence[DwellCourse], part: int) -> tuple[float, float, float]:
     longest = reach = max(float(course.times[-1]) for course in courses)
     block = min(float(course.times[0]) for course in courses) * 2
     while True:
@@ -144,7 +151,7 @@ def _settling_time(courses: Sequence[DwellCourse], part: int) -> float:
         seen = excess > SEEN * error
         last = int(np.argmin(seen)) if not np.all(seen) else seen.size
         if last == 0:
-            return 0.0
+            return 0.0, 0.0, 0.0
         # A transient within the first bins of the longest dwell is told by finer ones.
         seen_to = float(edges[np.searchsorted(edges, time[last - 1], side="right")])
         if FINE * seen_to >= reach or reach <= N_BIN * block:
@@ -158,8 +165,12 @@ def _settling_time(courses: Sequence[DwellCourse], part: int) -> float:
         )
         raise DataError(what, hint="longer dwells; or state `settle`")
     tau = _time_constant(time[:last], excess[:last])
-    wanted = min(transient_allowance(course, tau) for course in courses)
-    return seen_to + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
+    settled, clear = seen_to, seen_to + 0.5 * tau * float(np.log(min(1.0, excess[last - 1] / CLEAR**2)))
+    # The later a dwell is used, the fewer blocks are left, and the less is allowed.
+    for _ in range(STEPS):
+        wanted = min(transient_allowance(course, tau, settled) for course in courses)
+        settled = seen_to + max(0.0, 0.5 * tau * float(np.log(excess[last - 1] / wanted)))
+    return settled, max(0.0, clear), tau
 
 
 def _bin_means(
@@ -192,11 +203,55 @@ def _time_constant(time: FloatArray, excess: FloatArray) -> float:
     return max(shortest, -2.0 / float(slope)) if slope < 0 else float(time[-1])
 
 
-def transient_allowance(course: DwellCourse, tau: float) -> float:
-    """Largest (a / s)^2 at the start that leaves LEFT standard errors in the mean of n blocks."""
-    n = course.times.size
-    step = float(course.times[-1] - course.times[0]) / max(n - 1, 1)
-    return float(LEFT**2 * n / max(1.0, tau / step) ** 2)
+def transient_allowance(course: DwellCourse, tau: float, settled: float) -> float:
+    """Largest (a / s)^2 at the time *settled* [s] that leaves LEFT standard errors in the mean of the n
+    blocks after it, one at least.
+    """
+    n = max(1, int(np.sum(course.times > settled)))
+    return float(LEFT**2 * n / max(1.0, tau / float(np.ptp(course.times[:2]))) ** 2)
+
+
+def steady_part(
+    blocks: ComplexArray, decay: float, shown: Sequence[int]
+) -> tuple[ComplexArray, ComplexArray, float]:
+    """Steady X (n_channel,) [unit of the channel] of *blocks* (n_block, n_channel) of whole periods beside
+    one decaying motion, X_b = X + e^(-s b) (C cos(t b) + D sin(t b)) by least squares, its covariance
+    (n_channel, n_channel), the pole's included, and the complex degrees of freedom. *decay* [1]: s of the
+    dwells together, which a single one may miss by DECAY_ERROR. *shown*: channels that show the motion.
+    Equation (frf-decaying).
+    """
+    count = blocks.shape[0]
+    number = np.arange(count)
+    scale = np.sqrt(np.mean(np.abs(np.diff(blocks[count // 2 :], axis=0)) ** 2, axis=0) / 2)
+    scaled = (blocks / np.maximum(scale, np.finfo(float).eps * np.abs(blocks).max(axis=0)))[:, shown]
+    target = np.hstack([scaled.real, scaled.imag])
+
+    def basis(pole: FloatArray) -> FloatArray:
+        # sin(t b) / t: the columns stay apart where the sine is at the pole.
+        motions = np.cos(pole[1] * number), number * np.sinc(pole[1] * number / np.pi)
+        return np.vstack([np.ones(count), np.exp(-pole[0] * number) * motions]).T
+
+    def misfit(pole: FloatArray) -> FloatArray:
+        columns = basis(pole)
+        rest = target - columns @ (np.linalg.pinv(columns) @ target)
+        return np.append(rest, np.log(pole[0] / decay) / DECAY_ERROR / 2**0.5)
+
+    starts = [np.array([decay, swing]) for swing in np.linspace(0.02, 3.12, 32)]
+    first = min(starts, key=lambda pole: float(np.sum(misfit(pole) ** 2)))
+    bounds = [decay / 4, 0.0], [decay * 4, np.pi]
+    best = least_squares(misfit, first, "3-point", bounds, ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    inverse = np.linalg.pinv(basis(best.x))
+    factors = inverse @ blocks
+    error = blocks - basis(best.x) @ factors
+    dof = count - 4.0
+    of_residual = np.einsum("na,nb->ab", error, error.conj()) / dof
+    # What an error of the pole makes of X, by the variance of the scaled residual.
+    step = 1e-5
+    moved = [np.linalg.pinv(basis(best.x + change))[0] @ blocks for change in step * np.eye(2)]
+    by_pole = (np.array(moved) - factors[0]).T / step
+    of_pole = np.linalg.pinv(best.jac.T @ best.jac) * 2 * best.cost / (target.shape[1] * dof)
+    noise = of_residual * float(inverse[0] @ inverse[0]) + by_pole @ of_pole @ by_pole.conj().T
+    return factors[0], noise, dof
 
 
 # Blocks into which a dwell is cut for its noise: at most, and at least.
@@ -292,15 +347,16 @@ def _lines(
     try:
         dwells = _loud_sines(samples[:, force], find_dwells(samples[:, force]))
         # The other forces are noise here, references know nothing of the steps.
-        courses = _courses(samples[:, [force, *output_columns]], dwells, rate)
-        settle = settle_time(courses) if settings.settle is None else settings.settle
+        shown = [force, *output_columns]
+        courses = _courses(samples[:, shown], dwells, rate)
+        settling = (settings.settle, np.inf, 0.0) if settings.settle is not None else settle_times(courses)
     except DataError as error:
         raise DataError(f"'{source.name}': {error.what}", hint=error.hint) from None
     # The force alone gives the frequency.
-    steady = settle
+    of_force = settling[0]
     with contextlib.suppress(DataError):
-        steady = min(settle, settle_time([DwellCourse(c.times, c.values[:, :1]) for c in courses]))
-    lines = [_line(source, samples, dwell, (settle, steady, settings.skip), force) for dwell in dwells]
+        of_force = min(settling[0], settle_times([DwellCourse(c.times, c.values[:, :1]) for c in courses])[0])
+    lines = [_line(source, samples, dwell, (*settling, of_force, settings.skip), shown) for dwell in dwells]
     groups: list[list[EvaluatedDwell]] = []
     for line in sorted(lines, key=lambda line: line.frequency):
         if groups and _same(groups[-1][0], line):
@@ -310,10 +366,16 @@ def _lines(
     merged = [_average(group) for group in groups]
     used = sum(line.duration for line in lines) * rate / samples.shape[0]
     repeats = f" ({len(lines)} dwells)" if len(lines) > len(merged) else ""
+    modelled = sum(_is_modelled((d.stop - d.start) / rate, *settling[:2]) for d in dwells)
+    left_out = f"{settling[0]:.3g} s are left out after each step"
+    if modelled:
+        left_out += (
+            f", of {modelled} short dwell(s) {settling[1]:.3g} s, the rest of their transient is modelled"
+        )
     message = (
         f"'{source.name}': {len(merged)} frequencies{repeats}, "
-        f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {settle:.3g} s are "
-        f"left out after each step; {100 * used:.0f} % of the record is used"
+        f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {left_out}; "
+        f"{100 * used:.0f} % of the record is used"
     )
     return merged, note("dwells", message)
 
@@ -351,13 +413,25 @@ def _courses(samples: FloatArray, dwells: list[Dwell], rate: float) -> list[Dwel
     return courses
 
 
+def _is_modelled(length: float, settle: float, clear: float) -> bool:
+    """Whether too little of a dwell of this *length* is left by the times of settle_times [s]."""
+    return clear < settle and settle > (1 - SETTLED_SHARE) * length
+
+
 def _line(
-    source: SampleSource, samples: FloatArray, dwell: Dwell, settling: tuple[float, float, int], force: int
+    source: SampleSource,
+    samples: FloatArray,
+    dwell: Dwell,
+    settling: tuple[float, float, float, float, int],
+    shown: Sequence[int],
 ) -> EvaluatedDwell:
-    """*settling*: times after a step [s] that responses and force take to settle, and periods dropped in any
-    case.
+    """*settling*: the times of settle_times, that which the force takes [s], and periods dropped in any case.
+    *shown*: the force that steps, first, and the channels that show what has settled.
     """
-    rate, (settle, of_force, skip) = source.sample_rate, settling
+    rate, (settle, clear, tau, of_force, skip) = source.sample_rate, settling
+    length = (dwell.stop - dwell.start) / rate
+    if is_modelled := _is_modelled(length, settle, clear):
+        settle, of_force = clear, min(of_force, SETTLED_SHARE * length)
     start, begin = (
         dwell.start + int(np.ceil(max(time * rate, skip / dwell.frequency))) for time in (settle, of_force)
     )
@@ -366,11 +440,9 @@ def _line(
     # Whole periods per block: as many as hold LEAST_SAMPLES, and so many that there are at most MOST_BLOCKS.
     per_block = max(int(np.ceil(LEAST_SAMPLES * dwell.frequency)), -(-n_period // MOST_BLOCKS), 1)
     count = n_period // per_block
-    if count < LEAST_BLOCKS:
-        length, needed = (
-            (dwell.stop - dwell.start) / rate,
-            (start - dwell.start + (LEAST_BLOCKS * per_block + 2) / dwell.frequency) / rate,
-        )
+    least = 3 * LEAST_BLOCKS if is_modelled else LEAST_BLOCKS
+    if count < least:
+        needed = (start - dwell.start + (least * per_block + 2) / dwell.frequency) / rate
         what = (
             f"the dwell of '{source.name}' at {dwell.frequency * rate:.6g} Hz lasts {length:.3g} s, "
             f"{needed:.3g} s are needed"
@@ -379,17 +451,20 @@ def _line(
         raise DataError(f"{what}: {settle:.3g} s for its transient, then periods", hint=hint)
     rough = samples[start : start + round(n_period / dwell.frequency)]
     period = round(1 / dwell.frequency)
-    steady = samples[begin : dwell.stop - period, force]
+    steady = samples[begin : dwell.stop - period, shown[0]]
     frequency = sine_frequency(steady, dwell.frequency)
     variance = frequency_variance(steady, frequency) * rate**2
-    length = per_block / frequency
-    blocks = block_amplitudes(rough, frequency, length, count)
-    used = rough[: round(count * length)]
-    mean = amplitudes(used, frequency)
-    error = blocks - blocks.mean(axis=0)
-    noise = np.einsum("na,nb->ab", error, error.conj()) / (count * (count - 1))
-    turn = np.exp(-1j * np.angle(mean[force]))
-    return EvaluatedDwell(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, count - 1.0)
+    n_block = per_block / frequency
+    blocks = block_amplitudes(rough, frequency, n_block, count)
+    used = rough[: round(count * n_block)]
+    if is_modelled:
+        mean, noise, dof = steady_part(blocks, n_block / rate / tau, shown)
+    else:
+        mean, dof = amplitudes(used, frequency), count - 1.0
+        error = blocks - blocks.mean(axis=0)
+        noise = np.einsum("na,nb->ab", error, error.conj()) / (count * (count - 1))
+    turn = np.exp(-1j * np.angle(mean[shown[0]]))
+    return EvaluatedDwell(frequency * rate, variance, used.shape[0] / rate, mean * turn, noise, dof)
 
 
 def _same(first: EvaluatedDwell, other: EvaluatedDwell) -> bool:

@@ -20,7 +20,7 @@ from labpipe.project.rules import Rule
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.spectra import FreeDecay, FreeDecays
-from labpipe.records.uncertain import Budget, ChannelUncertainty, Uncertain, Uncertainty
+from labpipe.records.uncertain import Budget, ChannelUncertainty, MatrixError, Uncertain, Uncertainty
 from labpipe.report.budget import budget_blocks
 from labpipe.report.document import Table
 from tests.uncertainty.conftest import a_fit
@@ -132,6 +132,25 @@ def test_common_sources_cancel_or_add(rng) -> None:
     both = ChannelUncertainty("gain", Uncertainty("calibrator", 0.01, "1"))
     (fit,) = identify(a_response(rng, output=(both,), force=(both,)), settings("ml"))
     assert fit.budget is None or np.max(np.abs(fit.budget.changes / [p.value for p in fit.parameters])) < 1e-9
+
+
+def test_lines_of_noise_do_not_contradict_the_noise_of_a_force(rng) -> None:
+    """Lines that show noise N alone, beyond 200 Hz, say nothing of a gain of them. Of the measured response N
+    times the gain would be projected on N itself: 3 % times |N|^2 over its variance, 31 of 1030 lines.
+    """
+    frequency = np.arange(30.0, 1230.0, 1.0)
+    w = 2 * np.pi * frequency
+    true = 1 / (K - M * w**2 + 1j * w * C)
+    std = 10 * np.abs(true[-1])
+    error = std * (rng.standard_normal(w.size) + 1j * rng.standard_normal(w.size)) / np.sqrt(2)
+    matrix = (true + error)[:, None, None]
+    change = np.where(frequency[:, None, None] > 200, 0.03, 0.0) * matrix
+    common = MatrixError(Uncertainty("noise of the force", 1.0, "1"), change, by_repeat=True)
+    ports = (Port("x", "x", "x", 0.0),), (Port("f", "f", "x", 0.0),)
+    noise = diagonal_covariance(np.full(matrix.shape, std**2))
+    response = FrequencyResponse(frequency, matrix, *ports, covariance=noise, errors=(common,))
+    (fit,) = identify(response, settings("ml", mass=M))
+    assert {finding.code for finding in fit.findings} <= {"leakage"}
 
 
 def test_no_uncertainties_no_budget(rng) -> None:

@@ -125,6 +125,8 @@ def live(
         enough = _follow(session, as_json, page, bell, quiet)
         if asked and not quiet and not as_json:
             _echo_by_hand(session)
+        if not quiet and not as_json:
+            _echo_left_out(session)
         if output is not None:
             _finish(session, pipeline_path, overrides, output, quiet or as_json)
     return 0 if enough or not goals else 1
@@ -233,6 +235,19 @@ def _echo_by_hand(session: Session) -> None:
         echo("Ended by hand: intervals that hold whenever one stops (95 % for all averages together)")
         for name, (low, high) in intervals.items():
             echo(f"  {name}  {low:.6g} ... {high:.6g}")
+
+
+def _echo_left_out(session: Session) -> None:
+    """Say what a run adds to these intervals of hits, each of which it takes for a repeat."""
+    from labpipe.methods.live.bench import Bench
+
+    bench, frf = session.bench, session.pipeline.frf
+    if not isinstance(bench, Bench) or frf is None or frf.excitation != "impact" or frf.damping_window:
+        return
+    each = [fit.settings.name for fit in bench.fits if fit.settings.repeats == "each"]
+    if each and len(bench.layout.inputs) == 1:
+        what = "labpipe run takes each hit for a repeat and adds their scatter beyond noise to its intervals"
+        echo(f"{', '.join(each)}: {what}, which these leave out; repeats: pool leaves it out there as well")
 
 
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:

@@ -215,10 +215,8 @@ def covariance_fit(
     minimum = minimise(problem, start)
     jacobian = problem.jacobian(minimum.values)
     _, inverse = solve_scaled(jacobian, problem.residual(minimum.values))
-    covariance, noise = (
-        uncertainty.inflation * inverse,
-        leaking_noise(measured, _Modes(model), minimum.values),
-    )
+    covariance = uncertainty.inflation * inverse
+    noise = measured.noise or leaking_noise(measured, _Modes(model), minimum.values)
     if noise is not None:
         covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, jacobian, inverse)
     reduced = problem.chi2(minimum.values) / dof / uncertainty.excess

@@ -868,6 +868,27 @@ def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
     assert "s.c" in followed[-1]["parameters"] and "m.zeta_1" not in followed[-1]["parameters"]
 
 
+@pytest.mark.parametrize(("key", "is_said"), [("", True), (", repeats: pool", False)])
+def test_intervals_of_hits_say_that_a_run_adds_their_scatter(bench, labpipe, key, is_said):
+    """A run that takes each hit for a repeat states the part between hits, one that pools them does not."""
+    rng = np.random.default_rng(2)
+    push = np.zeros(2 * N)
+    push[100:104] = [20.0, 50.0, 50.0, 20.0]
+    w = 2 * np.pi * np.fft.rfftfreq(push.size, 1 / RATE)
+    flexible = 1 / (STIFFNESS - w**2 * MASS + 6j * w * DAMPING)
+    motion = np.fft.irfft(np.fft.rfft(push) * flexible, push.size) * 1e6
+    rows = np.tile(np.stack([push, motion], axis=1), (7, 1))
+    write_csv(bench / "test.csv", rows + rng.standard_normal(rows.shape) * [0.02, 0.2])
+    fits = f"  s: {{model: sdof, input: f, output: y, band: 40-90 Hz{key}}}\n"
+    frf = "frf: {excitation: impact, block: 2 s, band: 20-150 Hz}\n"
+    (bench / "pipeline.yaml").write_text(f"rig: rig.yaml\n{frf}identify:\n{fits}")
+    output = ["-o", bench / "out", *UNREPORTED]
+    said = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", "--idle", "0.2", *output).out
+    assert ("s: labpipe run takes each hit for a repeat" in said) is is_said
+    (fit,) = json.loads((bench / "out" / "identification.json").read_text())["fits"]
+    assert (fit["parameters"][0]["interval"]["repeats"] > 0) is is_said
+
+
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
