@@ -30,9 +30,12 @@ ROUNDS = 50
 # Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures:
 # 0.05-0.45).
 PRIOR_SCALE = 0.3
-# Edges in u of the points on which tau is integrated: close towards 0, where repeats scatter by far less than
-# the prior's scale.
-TAU_EDGES = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 240), np.linspace(0.1, 1.0, 145)[1:]])
+# Edges in u of the points on which tau is integrated: equal steps, and where these are too coarse for repeats
+# that scatter by far less than the prior's scale others that lie close towards 0; the change of an interval
+# [1] from which on they are.
+TAU_EDGES = np.linspace(0.0, 1.0, 81)
+CLOSE_EDGES = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 240), np.linspace(0.1, 1.0, 145)[1:]])
+COARSE = 2e-3
 # Repeats from which on a curvature, and an order in time, can be seen, and their critical values.
 LEAST_FOR_CURVE, LEAST_FOR_ORDER = 8, 6
 CURVED, ORDERED = 2.0, 1.645
@@ -110,6 +113,37 @@ def _least_absolute(values: FloatArray, covariate: FloatArray) -> FloatArray:
     return lines
 
 
+@dataclass(frozen=True)
+class _Mixture:
+    """Means by every tau: taus (n_tau,) [unit of the values], shares (n_tau,) [1], solutions (n_tau,
+    n_column), and the weights (n_tau, n) [1] of the repeats in the first, and its half width.
+    """
+
+    taus: FloatArray
+    shares: FloatArray
+    solutions: FloatArray
+    weights: FloatArray
+    half_width: float
+
+
+def _mix(
+    values: FloatArray, variances: FloatArray, columns: FloatArray, scale: float, edges: FloatArray
+) -> _Mixture:
+    taus = scale * np.tan(np.pi * (edges[1:] + edges[:-1]) / 4)
+    weights = 1 / (variances + taus[:, None] ** 2)
+    normal = np.einsum("tn,np,nq->tpq", weights, columns, columns)
+    inverse = np.linalg.inv(normal)
+    projection = inverse @ np.einsum("tn,np->tpn", weights, columns)
+    solutions = projection @ values
+    residuals = values - solutions @ columns.T
+    squares = np.sum(weights * residuals**2, axis=1)
+    logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - squares)
+    shares = np.exp(logarithm - logarithm.max()) * np.diff(edges)
+    shares /= shares.sum()
+    low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
+    return _Mixture(taus, shares, solutions, projection[:, 0], (high - low) / 2)
+
+
 def repeat_mean(
     values: FloatArray, variances: FloatArray, scale: float, covariate: FloatArray | None = None
 ) -> RepeatMean:
@@ -124,28 +158,19 @@ def repeat_mean(
     n, n_column = columns.shape
     if n <= n_column:
         raise FitError(f"{n} repeats do not tell {n_column} numbers and a spread", hint="record more repeats")
-    taus = scale * np.tan(np.pi * (TAU_EDGES[1:] + TAU_EDGES[:-1]) / 4)
-    weights = 1 / (variances + taus[:, None] ** 2)
-    normal = np.einsum("tn,np,nq->tpq", weights, columns, columns)
-    inverse = np.linalg.inv(normal)
-    projection = inverse @ np.einsum("tn,np->tpn", weights, columns)
-    solutions = projection @ values
-    residuals = values - solutions @ columns.T
-    squares = np.sum(weights * residuals**2, axis=1)
-    logarithm = 0.5 * (np.sum(np.log(weights), axis=1) - np.linalg.slogdet(normal)[1] - squares)
-    shares = np.exp(logarithm - logarithm.max()) * np.diff(TAU_EDGES)
-    shares /= shares.sum()
-    solution = shares @ solutions
-    low, high = mixture_interval(shares, solutions[:, 0], np.sqrt(inverse[:, 0, 0]))
+    equal, close = (_mix(values, variances, columns, scale, edges) for edges in (TAU_EDGES, CLOSE_EDGES))
+    is_coarse = abs(equal.half_width / close.half_width - 1) > COARSE
+    mixture = close if is_coarse else equal
+    solution = mixture.shares @ mixture.solutions
     stretch, _ = order_in_time(values - columns @ solution)
-    spread = float(taus[np.searchsorted(np.cumsum(shares), 0.5)])
+    spread = float(mixture.taus[np.searchsorted(np.cumsum(mixture.shares), 0.5)])
     longer = 1.0
     if stretch > 1.0:
         # sqrt(k) and the quantile of fewer repeats where neighbours are alike.
         limit = student_limit(max(1.0, n / stretch - 1))
         longer = float(np.sqrt(stretch) * limit / student_limit(n - n_column))
-    half_width = (high - low) / 2 * longer
-    mean_weights = shares @ projection[:, 0]
+    half_width = mixture.half_width * longer
+    mean_weights = mixture.shares @ mixture.weights
     return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], stretch > 1.0)
 
 
