@@ -24,8 +24,8 @@ MANY_METHODS = {"DynamicModel": 11}
 HOMELESS = {"utils", "helpers", "common", "core", "base", "misc", "tools"}
 # A name of one word in this form says what was done, not what is done or what comes out.
 PARTICIPLE = re.compile(
-    r"_?([a-z]+ed|apart|built|chosen|done|drawn|found|given|grown|held|kept|known|left|made|said|seen|sent|shown"
-    r"|spent|taken|told|written)"
+    r"_?([a-z]+ed|alone|apart|bent|brought|built|chosen|done|drawn|found|given|grown|held|hidden|kept|known|left"
+    r"|made|meant|said|seen|sent|shown|spent|swept|taken|together|told|written)"
 )
 NOUNS_IN_ED = {"feed", "need", "seed", "speed"}
 HEAVY = {"numpy", "scipy", "pandas", "pyarrow", "matplotlib", "yaml", "fpdf", "h5py", "nptdms"}

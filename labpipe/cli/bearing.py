@@ -20,7 +20,7 @@ from labpipe.project.bearing import (
     bearing_entry,
     bearing_json,
     evaluate,
-    swept,
+    sweep_bearing,
     write_bearing,
     write_sweep,
 )
@@ -211,7 +211,7 @@ def _sweep(
 ) -> None:
     sweep = parse_sweep(sweep_text, file.kind.settings)
     tell(f"bearing   {file.path}, {sweep.label}: {sweep.values.size} values")
-    points = swept(file, sweep)
+    points = sweep_bearing(file, sweep)
     name = file.settings().name or file.path.stem
     with output_folder(output) as folder:
         names = write_sweep(name, sweep, points, folder)

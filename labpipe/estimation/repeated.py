@@ -53,7 +53,7 @@ class _Test:
     settings: FitSettings
     fitting: Fitting
 
-    def alone(self, place: int) -> tuple[Fit, ...]:
+    def fits_of_one(self, place: int) -> tuple[Fit, ...]:
         """The fits of the recording at a *place*, whose noise its own residual shows; that of all weighs its
         lines. Of a sweep that zeros follow, lines d apart share sin(pi d s) / (pi d s), s its share.
         """
@@ -108,7 +108,7 @@ def mean_over_repeats(
     failed = []
     for place in range(len(response.repeats)):
         try:
-            fits = test.alone(place)
+            fits = test.fits_of_one(place)
         except FitError as error:
             named = test.name_of(response.repeat_names[place])
             failed.append(note("repeat-left-out", f"{named} is left out: {error.what}"))

@@ -122,7 +122,7 @@ def evaluate(file: BearingFile) -> Evaluated:
     return whole
 
 
-def swept(file: BearingFile, sweep: BearingSweep) -> list[Evaluated]:
+def sweep_bearing(file: BearingFile, sweep: BearingSweep) -> list[Evaluated]:
     """The coefficients at every value of the sweep, without the uncertainty of the swept entry itself."""
     entries = [f"{sweep.key}={float(value)!r} {sweep.unit}" for value in sweep.values]
     return _evaluate(file, entries, [key for key in file.uncertainties if key != sweep.key])

@@ -89,7 +89,7 @@ def judge(
     outcomes: list[RuleOutcome] = []
     for rule in rules:
         try:
-            of_all = together(rule, fits, records) if rule.together else _judge_section(rule, records)
+            of_all = judge_joint_rule(rule, fits, records) if rule.together else _judge_section(rule, records)
             outcomes.append(of_all or whole_outcome(rule, judged_part(rule, fits)))
         except ConfigError:
             if not incomplete:
@@ -133,7 +133,7 @@ def _judge_section(rule: Rule, records: Mapping[str, Any]) -> RuleOutcome | None
     return None
 
 
-def together(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
+def judge_joint_rule(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> RuleOutcome:
     """The outcome of a rule that several limits hold at once, over all fits and comparisons it addresses.
     ConfigError at its place where it addresses what the result does not have.
     """
@@ -168,7 +168,7 @@ def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
     """What a rule finds in fits: it must hold for each that it addresses (bands, terms, tests)."""
     if rule.together:
         try:
-            return PartialOutcome(outcome=together(rule, fits, {}), addressed=len(fits))
+            return PartialOutcome(outcome=judge_joint_rule(rule, fits, {}), addressed=len(fits))
         except ConfigError as error:
             return PartialOutcome(addressed=len(fits), fault=(error.what, error.hint))
     addressed = _address(rule, fits)

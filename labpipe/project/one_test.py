@@ -243,7 +243,7 @@ def work(job: Job) -> Done:
     """Do the job; a fault of its input is its outcome, and what was finished before the fault stays."""
     remarks: list[str] = []
     try:
-        with brought(job) as near:
+        with fetch_recordings(job) as near:
             with output_folder(near.target, near.scratch, remarks) as output:
                 sources = measure(near, output)
             if near.fits:
@@ -265,7 +265,7 @@ def work(job: Job) -> Done:
 
 
 @contextmanager
-def brought(job: Job) -> Iterator[Job]:
+def fetch_recordings(job: Job) -> Iterator[Job]:
     """The job with its recordings on this machine: objects of a storage lie in the scratch folder."""
     paths = [path for source in job.test.recordings for path in source.paths]
     with fetch([] if job.measured_before else paths, job.scratch) as here:

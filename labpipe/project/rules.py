@@ -135,7 +135,7 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
             rules.extend(_rule(section, at[0], entry, at, text) for at in addresses for text in texts)
         elif isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content):
             if "together" in entry.content:
-                rules.extend(_together(section, address, entry, faults, fits))
+                rules.extend(_joint_rule(section, address, entry, faults, fits))
             elif match := _match(address, entry, key, faults, fits):
                 rules.extend(_decide(section, address, entry, match, faults))
         elif match := _match(address, entry, key, faults, fits):
@@ -175,7 +175,7 @@ def _decide(
     return (replace(bare, kind="limits", bound=decision.limits_text, decision=decision),)
 
 
-def _together(
+def _joint_rule(
     section: str, address: str, entry: Marked, faults: Faults, fits: tuple[str, ...]
 ) -> tuple[Rule, ...]:
     key = f"{section}.{address}"

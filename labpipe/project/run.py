@@ -90,7 +90,7 @@ def measure_tests(
             done = {}
             for job in jobs:
                 # The only test of a pipeline, measured here.
-                with one_test.brought(job) as near:
+                with one_test.fetch_recordings(job) as near:
                     done[job.test.name] = one_test.Done(
                         job.test.name, one_test.measure(near, output, manner.tell)
                     )

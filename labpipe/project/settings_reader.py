@@ -60,7 +60,7 @@ class Faults:
         """A fault for every key not *allowed*, with the nearest, or the one whose meaning names it."""
         for name, entry in node.content.items():
             if name not in allowed:
-                self.add(entry, join(key, name), "unknown key", _meant(name, allowed, meanings or {}))
+                self.add(entry, join(key, name), "unknown key", _suggest(name, allowed, meanings or {}))
 
     def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
         """The entries of a mapping, or none and a fault when the node is something else."""
@@ -81,7 +81,7 @@ class Faults:
 TYPED = 0.75
 
 
-def _meant(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
+def _suggest(name: str, allowed: Iterable[str], meanings: Mapping[str, str]) -> str:
     """The hint for an unknown key: one spelt nearly so, else the only one whose meaning begins so."""
     stem = name.lower().rstrip("s")
     by_meaning = [key for key, meaning in meanings.items() if meaning.lower().startswith(stem)]

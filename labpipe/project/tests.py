@@ -337,7 +337,7 @@ class TestReader:
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
         """One test per file; files that differ in the parts of `together` alone are one test."""
         per_file = self._each(entries, key)
-        together = self._together(entries, key)
+        together = self._joined_parts(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
         unmatched: list[ConfigError] = []
         for source in self._recordings(entries["each"], settings_reader.join(key, "each")):
@@ -382,7 +382,7 @@ class TestReader:
             self.faults.add_at(entries, "tests.1", "together", what, "leave it out")
         return self._each(entries, "tests.1")
 
-    def _together(self, entries: dict[str, Marked], key: str) -> list[str]:
+    def _joined_parts(self, entries: dict[str, Marked], key: str) -> list[str]:
         if "together" not in entries:
             return []
         pattern = text_of(entries, "pattern")

@@ -225,7 +225,7 @@ def uncertainty_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]
     channels = dict.fromkeys(
         channel for source in sources for channel in source.channels if channel.role != "reference"
     )
-    turned = {name for source in sources for name in _alone(source.channels)}
+    turned = {name for source in sources for name in _lone_directions(source.channels)}
     members = {
         channel.name: names
         for channel in channels
@@ -242,7 +242,7 @@ def uncertainty_findings(sources: Sequence[SampleSource]) -> tuple[Finding, ...]
     )
 
 
-def _alone(channels: Sequence[Channel]) -> Iterator[str]:
+def _lone_directions(channels: Sequence[Channel]) -> Iterator[str]:
     """Recorded channels whose direction has an uncertainty, and across which no other one measures."""
     recorded = [channel for channel in channels if not channel.terms]
     for number, channel in enumerate(recorded):

@@ -105,7 +105,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     common. Equations (frf-sweep) and (frf-zeros).
     """
     rate = sources[0].sample_rate
-    swept = [_swept(source, layout.input_columns[number]) for number, source in enumerate(sources)]
+    swept = [_read_sweeps(source, layout.input_columns[number]) for number, source in enumerate(sources)]
     sweeps = [sweep for run in swept for sweep in run.sweeps]
     n_input = len(layout.inputs)
     if len(sweeps) < n_input:
@@ -165,7 +165,7 @@ def sweep_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
     return replace(parts, findings=(*parts.findings, *bursts, *rates))
 
 
-def _swept(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
+def _read_sweeps(source: SampleSource, input_columns: Sequence[int]) -> _Swept:
     samples = np.concatenate(list(checked_blocks(source)))
     try:
         sweeps = loudest_sweeps([find_sweeps(samples[:, column]) for column in input_columns if column >= 0])
@@ -252,7 +252,7 @@ def _without_leakage(
     taken = is_determined & leaking
     blocks = spectra.blocks.copy()
     blocks[:, taken, n_input:] -= local.leakage[taken].swapaxes(0, 1)
-    hidden = _hidden(spectra, is_determined, n_input) if leaking else 0.0
+    hidden = _hidden_leakage(spectra, is_determined, n_input) if leaking else 0.0
     hidden = np.maximum(hidden, _of_ends(spectra, n_input, ends)) * ~is_determined[:, None]
     spectra = replace(
         spectra,
@@ -275,7 +275,7 @@ def _without_leakage(
     return spectra, (note("sweep-leakage", message),)
 
 
-def _hidden(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatArray:
+def _hidden_leakage(spectra: _Spectra, is_determined: BoolArray, n_input: int) -> FloatArray:
     """Power of the leakage of lines that do not tell it: its share of the response on the nearest that do."""
     local, numbers = spectra.local, np.flatnonzero(is_determined)
     response = np.mean(np.abs(spectra.blocks[:, :, n_input:]) ** 2, axis=0)

@@ -13,7 +13,14 @@ import pytest
 from labpipe.artefacts.writing import output_folder
 from labpipe.bearings.kinds import BEARINGS, Amount, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError
-from labpipe.project.bearing import Evaluated, bearing_entry, bearing_json, sweep_columns, swept, write_sweep
+from labpipe.project.bearing import (
+    Evaluated,
+    bearing_entry,
+    bearing_json,
+    sweep_bearing,
+    sweep_columns,
+    write_sweep,
+)
 from labpipe.project.bearing_file import BearingFile, open_bearing, parse_sweep
 from labpipe.records.finding import Finding
 from labpipe.records.settings import settings_of
@@ -72,7 +79,7 @@ def test_a_quoted_number_is_no_bare_number(path: Path) -> None:
 def test_a_sweep_equals_the_single_answers(path: Path) -> None:
     file = open_bearing(path)
     sweep = parse_sweep("loads.z=100:300:100", file.kind.settings)
-    together = swept(file, sweep)
+    together = sweep_bearing(file, sweep)
     for value, found in zip(sweep.values, together, strict=True):
         single = open_bearing(path, [f"loads.z={value} N"])
         (alone,) = single.coefficients([single.settings()])

@@ -123,12 +123,12 @@ def closed_loop(file: MagneticFile, fit: LoopFit, rate: float | None, highest_mo
     slopes = np.array([_slope(at, values, parameter, list(here)) for parameter in fit.parameters])
     slopes = slopes.reshape(len(values), len(here))
     sources = () if fit.budget is None else fit.budget.sources
-    bent = _bent(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
+    bent = _bent_amounts(at, values, slopes, fit.covariance + fit.changes.T @ fit.changes)
     covariance = slopes.T @ fit.covariance @ slopes
     return ClosedLoop(here, covariance, unstable, sources, fit.changes @ slopes, bent)
 
 
-def _bent(
+def _bent_amounts(
     at: Amounts, values: Mapping[str, float], slopes: FloatArray, covariance: FloatArray
 ) -> tuple[str, ...]:
     """Names of amounts that are not straight REACH combined standard errors of the unknowns away."""

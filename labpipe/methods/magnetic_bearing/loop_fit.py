@@ -192,7 +192,7 @@ class LoopMinimum:
                 continue
         return None
 
-    def bent(self, covariance: FloatArray) -> FloatArray:
+    def curvature(self, covariance: FloatArray) -> FloatArray:
         """Second over first order (n_unknown,) [1], REACH standard errors away. Equation (comp-bent)."""
         bends = np.zeros(len(self.problem.unknowns))
         errors = np.sqrt(np.diag(covariance))
@@ -371,7 +371,7 @@ def _with_errors(fit: LoopFit, at_end: LoopMinimum, inflation: float, dof: int, 
     parameters, budget = with_budget(plain, list(first.values()), of_sources, dof)
     related = correlation(np.outer(values, values) * whole[:n, :n])
     pairs = tuple((plain[i].name, plain[j].name, float(related[i, j])) for i in range(n) for j in range(i))
-    bent = tuple((p.name, float(size)) for p, size in zip(plain, at_end.bent(whole), strict=True))
+    bent = tuple((p.name, float(size)) for p, size in zip(plain, at_end.curvature(whole), strict=True))
     if curved and max(size for _, size in bent) > CURVED:
         at_zero = bool(fit.at_zero)
         parameters = tuple(

@@ -172,7 +172,7 @@ def add_moved_modes(
     findings = tuple(mode.finding for _, mode in merging)
     merged = {number for chain, _ in merging for number in chain}
     for number in set(range(refined.poles.size)) - merged:
-        s, frfs = _alone(lines, refined, [number])
+        s, frfs = _fit_alone(lines, refined, [number])
         if s.size >= FEWEST_LINES:
             merging.append(([number], _fit_by_points(s, frfs, refined.poles[[number]])[0]))
             merged.add(number)
@@ -210,7 +210,7 @@ def _chains(refined: Refined) -> list[list[int]]:
 def _move(lines: FrfLines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
-    s, frfs = _alone(lines, refined, chain)
+    s, frfs = _fit_alone(lines, refined, chain)
     if s.size < FEWEST_LINES:
         return []
     mode = _fit_one_mode(s, frfs, refined.poles[chain])
@@ -224,7 +224,7 @@ def _move(lines: FrfLines, refined: Refined, chain: list[int]) -> list[tuple[lis
     ]
 
 
-def _alone(lines: FrfLines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
+def _fit_alone(lines: FrfLines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
     poles = refined.poles[chain]
     reach = BESIDE * float(np.median(-2 * poles.real))
     low, high = poles.imag.min() - reach, poles.imag.max() + reach

@@ -34,7 +34,7 @@ def modal_blocks(fit: Fit, modes: Modes) -> list[Block]:
     frequency = [stated.get(f"f_n_{n}", of_pole) for n, of_pole in enumerate(modes.frequency.tolist(), 1)]
     modes = replace(modes, frequency=np.array(frequency))
     diagram = [] if modes.diagram is None else [diagram_figure(fit, modes, modes.diagram)]
-    alike = _alike(fit, modes) if modes.frequency.size > 1 and len(modes.points) > 1 else []
+    alike = _mac_blocks(fit, modes) if modes.frequency.size > 1 and len(modes.points) > 1 else []
     shapes = [shapes_figure(fit, modes)] if len(modes.points) > 1 else []
     # Of a single FRF the parameters say all that the table would.
     listed = [modes_table(fit, modes)] if len(modes.points) > 1 or modes.driving_points else []
@@ -126,7 +126,7 @@ def _shape(modes: Modes, n: int, axis: chart.Axis, few: bool) -> chart.Panel:
     )
 
 
-def _alike(fit: Fit, modes: Modes) -> list[Block]:
+def _mac_blocks(fit: Fit, modes: Modes) -> list[Block]:
     n = modes.frequency.size
     if n > FEW_MODES:
         return [mac_figure(fit, modes)]

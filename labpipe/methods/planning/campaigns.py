@@ -74,7 +74,7 @@ def shaker_by_shaker(lines: IntArray, power: FloatArray, names: tuple[str, ...])
     return tuple(tests)
 
 
-def together(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
+def both_at_once(lines: IntArray, power: FloatArray, names: tuple[str, ...]) -> tuple[Multisines, ...]:
     """One test of two shakers at once, with opposite signs on neighbouring lines; arguments as of one_by_one,
     power (n_line, 2) [N^2]. Equation (plan-together).
     """
@@ -105,7 +105,7 @@ def _keep(
     return (Multisines("+".join(names), lines[kept], forces[kept], groups[kept]),)
 
 
-SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: shaker_by_shaker, TOGETHER: together, INTERLEAVED: interleave}
+SCHEMES: dict[str, Scheme] = {ONE_BY_ONE: shaker_by_shaker, TOGETHER: both_at_once, INTERLEAVED: interleave}
 
 
 # Samples per period of the highest line, while searching.

@@ -484,7 +484,7 @@ class SystemModel:
             scale = project_between(p, by_root, v)
             step = -project_between(p, stiffness, v) / scale
             near = np.abs(step) < NEAR * np.abs(r)
-            step = np.where(near, bent(step, project_between(p, by_omega, v) / scale), step)
+            step = np.where(near, follow_frequency(step, project_between(p, by_omega, v) / scale), step)
             root[open_ones], right[open_ones], left[open_ones] = r + step, v, p
             open_ones = open_ones[np.abs(step) > SETTLED * np.abs(r)]
             if not open_ones.size:
@@ -501,7 +501,7 @@ class SystemModel:
             return Roots(root, right[:, :, 0].T, np.zeros((root.size, 0), np.complex128))
         moved = self.slopes(values, spin, adjoint(left), right, root)[:, :, 0, 0]
         scale, by_omega = (project_between(left, matrix, right) for matrix in at(root)[1:])
-        slope = bent(-moved / scale, by_omega / scale)
+        slope = follow_frequency(-moved / scale, by_omega / scale)
         return Roots(root, right[:, :, 0].T, slope.T)
 
     def _solve_bands(
@@ -546,7 +546,7 @@ def project_between(left: ComplexArray, matrices: ComplexArray, right: ComplexAr
     return (adjoint(left) @ matrices @ right)[:, 0, 0]
 
 
-def bent(straight: ComplexArray, by_omega: ComplexArray) -> ComplexArray:
+def follow_frequency(straight: ComplexArray, by_omega: ComplexArray) -> ComplexArray:
     """d (..., n_mode) [1/s] of d + b Im d = a, for the steps *straight* a (..., n_mode) [1/s] of eigenvalues
     whose coefficients stay, and *by_omega* b (n_mode,) [1] by the frequency that they follow.
     """

@@ -14,7 +14,7 @@ from scipy import stats
 
 from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import ConfigError, FitError
-from labpipe.methods.magnetic_bearing.certificate import _bent, certificate, loop_amounts
+from labpipe.methods.magnetic_bearing.certificate import _bent_amounts, certificate, loop_amounts
 from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings, recorded_loop
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, margins
 from labpipe.methods.magnetic_bearing.loop_fit import BENT, REACH
@@ -89,9 +89,9 @@ def test_amounts_that_bend_within_the_errors_are_named(side: float, slope: float
         return {f"b_{part}": slope * values["a"] + part * BENT * way * max(aside, 0.0) for part in (0.9, 1.1)}
 
     slopes, covariance = np.full((1, 2), slope), np.array([[0.01]])
-    assert _bent(at, {"a": 1.0}, slopes, covariance) == ("b_1.1",)
-    assert _bent(at, {"a": 1.0}, -slopes, covariance) == ("b_0.9", "b_1.1")
-    assert _bent(at, {"a": 1.0}, slopes, 0 * covariance) == ()
+    assert _bent_amounts(at, {"a": 1.0}, slopes, covariance) == ("b_1.1",)
+    assert _bent_amounts(at, {"a": 1.0}, -slopes, covariance) == ("b_0.9", "b_1.1")
+    assert _bent_amounts(at, {"a": 1.0}, slopes, 0 * covariance) == ()
 
 
 @pytest.mark.long
