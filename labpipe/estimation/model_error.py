@@ -120,8 +120,8 @@ class ModelError:
             low, high, noise = min(low, high), max(low, high), noise * abs(centre)
         if row.alone is not None and parameter.std_error is not None and parameter.full_error is not None:
             of_frf = row.alone * abs(centre)
-            own = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, of_frf**2 - noise**2, 0.0))
-            down, up = np.hypot([centre - low, high - centre], own).tolist()
+            half = NORMAL * np.sqrt(max(parameter.full_error**2 - noise**2, of_frf**2 - noise**2, 0.0))
+            down, up = np.hypot([centre - low, high - centre], half).tolist()
             low, high = centre - down, centre + up
             noise = max(noise, parameter.std_error, of_frf)
         full = max((high - low) / (2 * NORMAL), noise)

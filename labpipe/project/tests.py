@@ -14,7 +14,7 @@ from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig
-from labpipe.spectra import settings as spectra_settings
+from labpipe.spectra.settings import KEYS as KEYS_OF_EXCITATION, FrfSettings
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ class Test:
     frfs: tuple[ReadyFrf, ...] = ()
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: spectra_settings.FrfSettings | None = None
+    frf: FrfSettings | None = None
     repeats: str = ""
 
 
@@ -281,7 +281,7 @@ class EachFile:
 
     conditions: dict[str, str] = field(default_factory=dict)
     recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: spectra_settings.FrfSettings | None = None
+    frf: FrfSettings | None = None
     pattern: str = ""
     repeats: str = ""
 
@@ -417,7 +417,7 @@ class TestReader:
             self.faults.add_at(entries, key, "repeats", f"unknown '{repeats}'", "write each or pool")
         return repeats
 
-    def _frf(self, entries: dict[str, Marked], key: str) -> spectra_settings.FrfSettings | None:
+    def _frf(self, entries: dict[str, Marked], key: str) -> FrfSettings | None:
         """The pipeline's frf: with the test's own entries, of which one without a value takes it away; of
         another excitation only what that takes as well.
         """
@@ -425,14 +425,12 @@ class TestReader:
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
         frf_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
-        others = spectra_settings.KEYS.get(text_of(frf_of_test, "excitation"), common)
+        others = KEYS_OF_EXCITATION.get(text_of(frf_of_test, "excitation"), common)
         inherited = common.items() if isinstance(common, dict) else ()
         both = {**{name: node for name, node in inherited if name in others}, **frf_of_test}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
-        return settings_reader.read_settings(
-            spectra_settings.FrfSettings, node, settings_reader.join(key, "frf"), self.faults
-        )
+        return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.faults).sources(node, key)

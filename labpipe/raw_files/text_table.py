@@ -310,7 +310,7 @@ def find_layout(path: Path, number: IsNumber = is_cell) -> TextLayout:
     return TextLayout(encoding, delimiter, decimal, names, units, first, stamps, texts)
 
 
-# Bytes of the end of a file, and rows there, of equal decimals and of any, beside which the last one is held.
+# Bytes of the end of a file, and rows there, of equal decimals and of any, with which the last is compared.
 TAIL_BYTES, EQUAL_ROWS, ANY_ROWS = 1 << 16, 10, 200
 
 
@@ -326,8 +326,8 @@ def check_last_number(path: Path, layout: TextLayout) -> None:
     n_field, after = len(layout.names), f"{re.escape(layout.decimal)}(.*)"
     ends = (*rows[1:], last) if last.strip() else ()
     fields = [fields_of(row.rstrip("\r"), layout.delimiter) for row in ends]
-    found = [re.search(after, row[-1].strip()) for row in fields if len(row) == n_field and row[-1].strip()]
-    *before, ending = [len(match[1]) if match else 0 for match in found] or [0]
+    matches = [re.search(after, row[-1].strip()) for row in fields if len(row) == n_field and row[-1].strip()]
+    *before, ending = [len(match[1]) if match else 0 for match in matches] or [0]
     enough = EQUAL_ROWS if len(set(before)) == 1 else ANY_ROWS
     if len(before) >= enough and len(fields[-1]) == n_field and ending < min(before):
         what = f"ends within its last number, '{fields[-1][-1].strip()[:40]}'"

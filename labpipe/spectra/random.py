@@ -444,8 +444,8 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
     """
     dof, n_output = _freedoms(spectra, layout), len(layout.outputs)
     least = float(np.min(dof))
-    known = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
-    return known and least >= LEAST_SHARE * float(np.max(dof))
+    enough = least > n_output and least**2 <= MOST_LOST * ((least - n_output) ** 2 - 1)
+    return enough and least >= LEAST_SHARE * float(np.max(dof))
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
@@ -468,14 +468,14 @@ def common_share(noise: ComplexArray, freedoms: FloatArray) -> float:
     """Mean squared coherence [1] of responses' *noise* (n_line, n_input, n_output, n_output) [any unit], less
     what chance gives of *freedoms* (n_input,) complex degrees of freedom; 0 of one response.
     """
-    n_output, told = noise.shape[2], freedoms > 1
-    if n_output == 1 or not np.any(told):
+    n_output, several = noise.shape[2], freedoms > 1
+    if n_output == 1 or not np.any(several):
         return 0.0
     power = np.einsum("lioo->lio", noise).real
     whole = power[..., None] * power[..., None, :]
     squared = np.divide(np.abs(noise) ** 2, whole, out=np.zeros_like(whole), where=whole > 0).mean(axis=0)
     coherence = (squared.sum(axis=(1, 2)) - n_output) / (n_output * (n_output - 1))
-    return float(np.sum((coherence * freedoms - 1)[told]) / np.sum(freedoms[told] - 1))
+    return float(np.sum((coherence * freedoms - 1)[several]) / np.sum(freedoms[several] - 1))
 
 
 def _acting(layout: Layout) -> BoolArray:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
@@ -239,7 +239,7 @@ def steady_part(
     starts = [np.array([decay, swing]) for swing in np.linspace(0.02, 3.12, 32)]
     first = min(starts, key=lambda pole: float(np.sum(misfit(pole) ** 2)))
     bounds = [decay / 4, 0.0], [decay * 4, np.pi]
-    best = least_squares(misfit, first, "3-point", bounds, ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    best = scipy.optimize.least_squares(misfit, first, "3-point", bounds, ftol=1e-14, xtol=1e-14, gtol=1e-14)
     inverse = np.linalg.pinv(basis(best.x))
     factors = inverse @ blocks
     error = blocks - basis(best.x) @ factors

@@ -61,6 +61,12 @@ def test_the_stages_load_what_a_run_loads(tmp_path: Path) -> None:
     assert imported("report", tmp_path / "out", "-o", tmp_path / "report.html") <= {"scipy"}
 
 
+def test_what_measures_loads_no_search_before_one_is_needed() -> None:
+    """scipy.optimize takes a tenth of a second of CPU to load."""
+    script = "import sys; import labpipe.spectra.measurement; sys.exit('scipy.optimize' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], check=False, cwd=ROOT).returncode == 0
+
+
 def test_help_loads_nothing_that_takes_long() -> None:
     """The metadata of installed packages take longer than all else beside click."""
     slow = {"importlib.metadata", "labpipe.quantities"}

@@ -153,11 +153,11 @@ class Influence:
         it, that of what surprises.
         """
         whole, places = np.concatenate([[1.0], weights]), np.arange(lines.size)
-        seen = np.zeros((2, lines.size, 2, *self.mean.shape))
-        seen[:, places, :, lines] = [[whole.real, -whole.imag], [whole.imag, whole.real]]
-        seen = seen.reshape(2 * lines.size, -1)
-        spread = seen @ self.joint @ seen.T + real_covariance(errors)
-        gain = np.linalg.solve(spread, seen @ self.joint).T
+        design = np.zeros((2, lines.size, 2, *self.mean.shape))
+        design[:, places, :, lines] = [[whole.real, -whole.imag], [whole.imag, whole.real]]
+        design = design.reshape(2 * lines.size, -1)
+        spread = design @ self.joint @ design.T + real_covariance(errors)
+        gain = np.linalg.solve(spread, design @ self.joint).T
         return gain, self.joint - gain @ spread @ gain.T, spread
 
     def after(self, run: BalanceRun, noise: ReadingNoise) -> Influence:
@@ -199,19 +199,19 @@ def influence(runs: Sequence[BalanceRun], noise: ReadingNoise, prior: Influence 
     # Errors of the weights need the influence, which the first round finds without them.
     for _ in range(ROUNDS if noise.weight else 1):
         of_runs = [
-            noise.covariance(run.readings[seen], mean[seen, 1:], run.weights)
-            for run, seen in zip(runs, there, strict=True)
+            noise.covariance(run.readings[read], mean[read, 1:], run.weights)
+            for run, read in zip(runs, there, strict=True)
         ]
         errors = scipy.linalg.block_diag(*of_runs)
         weighed = np.linalg.solve(errors, whole).conj().T
         covariance = np.linalg.inv(weighed @ whole)
-        found = covariance @ (weighed @ z)
-        mean = found.reshape(mean.shape) / scale
-    residual = z - whole @ found
+        unknowns = covariance @ (weighed @ z)
+        mean = unknowns.reshape(mean.shape) / scale
+    residual = z - whole @ unknowns
     misfit = 2 * float((residual.conj() @ np.linalg.solve(errors, residual)).real)
     size = np.tile(scale, n_line)
     joint = real_covariance(np.asarray(covariance / np.outer(size, size), np.complex128))
-    return Influence(mean, joint, misfit, 2 * (z.size - found.size))
+    return Influence(mean, joint, misfit, 2 * (z.size - unknowns.size))
 
 
 def real_covariance(covariance: ComplexArray) -> FloatArray:
@@ -271,17 +271,17 @@ def placed_weights(knowledge: Influence, places: Sequence[Places]) -> list[Float
     ).x
     # Many masses make one vector: the least of them stand in two places, and in those that are full.
     masses = []
-    for direction, place, found in zip(
+    for direction, place, amounts in zip(
         directions, places, np.split(reached, np.cumsum(numbers)[:-1]), strict=True
     ):
-        target = direction @ found
+        target = direction @ amounts
         least = scipy.optimize.linprog(
             np.ones(direction.size),
             A_eq=np.array([direction.real, direction.imag]) / place.radius,
             b_eq=np.array([target.real, target.imag]) / place.radius,
             bounds=(0.0, place.largest),
         )
-        masses.append(least.x if least.success else found)
+        masses.append(least.x if least.success else amounts)
     return masses
 
 

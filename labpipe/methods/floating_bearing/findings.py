@@ -371,13 +371,13 @@ def balance_error(
     away = error.mean - misfit.values
     whole = error.covariance + np.outer(away, away)
     growth = float(np.sqrt(np.max(np.diag(whole) / np.diag(covariance))))
-    said = f"; most likely {error.reason}: {cause}"
+    cause_text = f"; most likely {error.reason}: {cause}"
     if (frequency := _line_alone(misfit, reduced)) is not None:
         alone, cure = line_alone(frequency)
-        said = f", and {alone}"
+        cause_text = f", and {alone}"
     finding = Finding(
         "model-mismatch",
-        f"{excess}{said}. Intervals include what the model leaves "
+        f"{excess}{cause_text}. Intervals include what the model leaves "
         f"unexplained, and are up to {growth:.3g} times as wide as noise alone makes them. {cure}",
         line_hz=frequency,
     )

@@ -227,8 +227,8 @@ class RunUpSettings(Settings):
                     raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
                 if names.count(name) > 1:
                     raise SettingError(field, f"'{name}' is named twice", "leave one out")
-        own = {*self.methods} <= {"amplitudes", "points", "joint", "process"}
-        for key in self.written if own else ():
+        all_ours = {*self.methods} <= {"amplitudes", "points", "joint", "process"}
+        for key in self.written if all_ours else ():
             if not {*OF_METHODS.get(key, self.methods)} & {*self.methods}:
                 what = f"'{key}' is of {' and '.join(OF_METHODS[key])}, which is not among the methods"
                 raise SettingError(key, what, "leave it out")

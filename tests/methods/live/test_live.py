@@ -840,16 +840,20 @@ def test_decays_that_fall_into_a_folder_are_repeats(bench, follow):
     assert by_run["zeta_1"] == pytest.approx(lines[-1]["parameters"]["ring.zeta_1"]["value"], rel=1e-6)
 
 
-def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
-    """`zeta_1` is not a coefficient of the fit that is followed, so the goal waits for the modal one."""
-    rng = np.random.default_rng(2)
+def write_hits(path: Path, n_hit: int) -> None:
+    """Hits of 2 s on six times the damping, with noise of both channels."""
     push = np.zeros(2 * N)
     push[100:104] = [20.0, 50.0, 50.0, 20.0]
     w = 2 * np.pi * np.fft.rfftfreq(push.size, 1 / RATE)
     flexible = 1 / (STIFFNESS - w**2 * MASS + 6j * w * DAMPING)
     motion = np.fft.irfft(np.fft.rfft(push) * flexible, push.size) * 1e6
-    rows = np.tile(np.stack([push, motion], axis=1), (11, 1))
-    write_csv(bench / "test.csv", rows + rng.standard_normal(rows.shape) * [0.02, 0.2])
+    rows = np.tile(np.stack([push, motion], axis=1), (n_hit, 1))
+    write_csv(path, rows + np.random.default_rng(2).standard_normal(rows.shape) * [0.02, 0.2])
+
+
+def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
+    """`zeta_1` is not a coefficient of the fit that is followed, so the goal waits for the modal one."""
+    write_hits(bench / "test.csv", 11)
     fits = "  s: {model: sdof, input: f, output: y, band: 40-90 Hz}\n"
     fits += "  m: {model: modal, band: 50-80 Hz, repeats: pool}\n"
     frf = "frf: {excitation: impact, block: 2 s, band: 20-150 Hz}\n"
@@ -871,14 +875,7 @@ def test_a_modal_fit_of_hits_and_a_goal_that_names_no_fit(bench, follow):
 @pytest.mark.parametrize(("key", "is_said"), [("", True), (", repeats: pool", False)])
 def test_intervals_of_hits_say_that_a_run_adds_their_scatter(bench, labpipe, key, is_said):
     """A run that takes each hit for a repeat states the part between hits, one that pools them does not."""
-    rng = np.random.default_rng(2)
-    push = np.zeros(2 * N)
-    push[100:104] = [20.0, 50.0, 50.0, 20.0]
-    w = 2 * np.pi * np.fft.rfftfreq(push.size, 1 / RATE)
-    flexible = 1 / (STIFFNESS - w**2 * MASS + 6j * w * DAMPING)
-    motion = np.fft.irfft(np.fft.rfft(push) * flexible, push.size) * 1e6
-    rows = np.tile(np.stack([push, motion], axis=1), (7, 1))
-    write_csv(bench / "test.csv", rows + rng.standard_normal(rows.shape) * [0.02, 0.2])
+    write_hits(bench / "test.csv", 7)
     fits = f"  s: {{model: sdof, input: f, output: y, band: 40-90 Hz{key}}}\n"
     frf = "frf: {excitation: impact, block: 2 s, band: 20-150 Hz}\n"
     (bench / "pipeline.yaml").write_text(f"rig: rig.yaml\n{frf}identify:\n{fits}")
