@@ -15,10 +15,17 @@ from labpipe.display import chance_text
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text, quality_findings
-from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
+from labpipe.estimation.measured import (
+    SHARE,
+    Measured,
+    changes_by,
+    matrix_errors,
+    measured_part,
+    select_ports,
+)
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
@@ -26,7 +33,13 @@ from labpipe.methods.modal import model_error, poles as lscf
 from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine_one_step
 from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, add_moved_modes, align_measured, alignment
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.whole_covariance import ModalEstimate, ModalReceptance, covariance_fit, regular
+from labpipe.methods.modal.whole_covariance import (
+    ModalEstimate,
+    ModalReceptance,
+    ModalRows,
+    covariance_fit,
+    regular,
+)
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -57,15 +70,17 @@ def _sources(
     model = ModalReceptance.of(terms, refined, measured, real=real)
     values = model.join(refined, measured)
     problem = OutputError(measured, model, whitener(regular(measured)))
-    jacobian = problem.jacobian(values)
-    step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
+    rows = ModalRows(problem, values)
+    projected = rows.project(np.array([error.change for error in errors]))
+    steps = SHARE * (inverse_of(rows.linearise()) @ projected)
 
-    def change_of(change: ComplexArray) -> FloatArray:
-        poles, participation, shapes, _ = model.split(values - step @ problem.whiten(change))
+    def at(step: FloatArray) -> FloatArray:
+        poles, participation, shapes, _ = model.split(values - step)
         again = replace(refined, poles=poles, participation=participation, shapes=shapes)
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
-    return [*changes_by(errors, change_of), *of_mass]
+    changes = [(at(step) - at(-step)) / (2 * SHARE) for step in steps.T]
+    return [*zip((error.uncertainty for error in errors), changes, strict=True), *of_mass]
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
