@@ -160,7 +160,9 @@ class ModalReceptance:
         return self.slopes(parameters, functions, slice(None))
 
     def slopes(self, parameters: FloatArray, functions: PoleFunctions, lines: slice) -> ComplexArray:
-        """dH/dp of some *lines* with the *functions* of the poles on all, as of `jacobian`."""
+        """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit] of some *lines*, with the
+        *functions* of the poles at *parameters* (n_parameter,) [parameter units] on all.
+        """
         _, participation, shapes, _ = self.split(parameters)
         (a, b), (a_slope, b_slope) = (tuple(part[lines] for part in pair) for pair in functions)
         slopes = np.zeros((self.free.size // 2, 2, len(a), self.n_output, self.n_input), np.complex128)
