@@ -4,7 +4,7 @@ matrices.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -117,16 +117,40 @@ class Linearisation:
 
 def linearise_problem(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
-    residual, jacobian = problem.residual(parameters), problem.jacobian(parameters)
+    rows = problem.jacobian(parameters), problem.residual(parameters)
+    return linearise_blocks(lambda: [rows], parameters.size)
+
+
+def linearise_blocks(
+    blocks: Callable[[], Iterable[tuple[FloatArray, FloatArray]]], n_parameter: int
+) -> Linearisation:
+    """The linearisation from *blocks* of rows of the Jacobian (n_row, n_parameter) [1/parameter unit] and of
+    the residual (n_row,) [-], of which one at a time is held; they are gone through again where products are
+    too inexact (QR of the triangle so far above the next rows).
+    """
+    products: FloatArray = np.zeros((n_parameter, n_parameter))
+    projected: FloatArray = np.zeros(n_parameter)
+    chi2, n_equation = 0.0, 0
+    for jacobian, residual in blocks():
+        with np.errstate(over="ignore", invalid="ignore"):
+            products += jacobian.T @ jacobian
+        projected += jacobian.T @ residual
+        chi2 += float(residual @ residual)
+        n_equation += residual.size
+    factor = triangle_of_products(products)
+    if factor is not None:
+        scale, triangle = factor
+        projected = np.linalg.solve(triangle.T, projected / scale)
+        return Linearisation(triangle, projected, scale, chi2, n_equation)
     # A parameter on which nothing depends has the length 1: damping keeps the step finite.
-    scale, triangle, by_products = scaled_triangle(jacobian)
-    if by_products:
-        projected = np.linalg.solve(triangle.T, (jacobian.T @ residual) / scale)
-    else:
-        n = scale.size
-        joint = np.asarray(np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
-        triangle, projected = joint[:n, :n], joint[:n, -1]
-    return Linearisation(triangle, projected, scale, float(residual @ residual), residual.size)
+    lengths = np.sqrt(products.diagonal())
+    lengths[lengths == 0] = 1.0
+    joint: FloatArray = np.empty((0, n_parameter + 1))
+    for jacobian, residual in blocks():
+        rows = np.vstack([joint, np.column_stack([jacobian / lengths, residual])])
+        joint = np.asarray(np.linalg.qr(rows, mode="r"))
+    above = joint[:n_parameter]
+    return Linearisation(above[:, :-1], above[:, -1], lengths, chi2, n_equation)
 
 
 def minimise(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 import scipy
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
     from labpipe.estimation.model import DynamicModel, FittedModel, Receptance, ResponseModel
 
-# Columns of the correlation formed together.
-COLUMNS_AT_ONCE = 64
+# Columns of the correlation formed together, and complex numbers of a Jacobian that are held together.
+COLUMNS_AT_ONCE, NUMBERS_AT_ONCE = 64, 4_000_000
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,16 @@ class SharedNoise:
         white = rng.standard_normal((2, kernel.size, n_element, n_draw)) / np.sqrt(2)
         shared = fft.ifft(np.sqrt(power)[:, None, None] * fft.fft(white[0] + 1j * white[1], axis=0), axis=0)
         return self._gather(shared)
+
+    @property
+    def reach(self) -> int:
+        """Largest distance [lines] of lines that share noise."""
+        return self.correlation.size + self._factors.shape[0] - 1
+
+    def at(self, lines: slice) -> SharedNoise:
+        """That of some *lines* that follow each other."""
+        gains = None if self.gains is None else self.gains[lines]
+        return SharedNoise(self.numbers[lines], self.correlation, gains)
 
     @property
     def trace(self) -> float:
@@ -140,6 +151,20 @@ class LineBlocks:
         return product
 
     @property
+    def reach(self) -> int:
+        """Largest distance [lines] of lines that share noise."""
+        return len(self.pairs) - 1
+
+    def at(self, lines: slice) -> LineBlocks:
+        """That of some *lines* that follow each other."""
+        pairs = []
+        for pair in self.pairs:
+            inside = (pair.first >= lines.start) & (pair.second < lines.stop)
+            places = pair.first[inside] - lines.start, pair.second[inside] - lines.start
+            pairs.append(LinePairs(*places, pair.correlation[inside], pair.turned[inside]))
+        return LineBlocks(lines.stop - lines.start, tuple(pairs))
+
+    @property
     def trace(self) -> float:
         """tr(R), averaged over the elements [1]."""
         return float(np.einsum("kaa->", self.pairs[0].correlation).real) / self.pairs[0].correlation.shape[1]
@@ -162,8 +187,23 @@ class SharedResidual:
     dof: float
 
 
+class LineRows(Protocol):
+    """Complex rows (n_line, n_element, n_parameter) of a whitened Jacobian, held or made line by line."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    def __getitem__(self, lines: slice, /) -> ComplexArray: ...
+
+
+def line_blocks(rows: LineRows) -> Iterator[slice]:
+    """Lines that follow each other, of which NUMBERS_AT_ONCE or one line are held."""
+    n_line, n_element, n_parameter = rows.shape
+    size = max(NUMBERS_AT_ONCE // (n_element * n_parameter), 1)
+    return (slice(start, min(start + size, n_line)) for start in range(0, n_line, size))
+
+
 def shared_residual(
-    noise: SharedNoise | LineBlocks, jacobian: ComplexArray, inverse: FloatArray
+    noise: SharedNoise | LineBlocks, jacobian: LineRows, inverse: FloatArray
 ) -> SharedResidual:
     """With R the noise's correlation, A = (J^H J)^-1 and P = 1 - J A J^H: A J^H R J A, tr(P R) and tr(P R)^2
     / tr(P R P R).
@@ -172,11 +212,15 @@ def shared_residual(
     [1 per parameter unit]; *inverse* A (n_parameter, n_parameter). The residual's mean and variance as of a
     sum of squares of correlated normal values (Satterthwaite 1946). Equation (est-shared-residual).
     """
-    columns = jacobian.reshape(-1, jacobian.shape[2])
-    product = noise.times(jacobian).reshape(columns.shape)
-    middle = (columns.conj().T @ product).real
-    square = (product.conj().T @ product).real
-    n_element, half = jacobian.shape[1], inverse @ middle
+    n_line, n_element, n_parameter = jacobian.shape
+    middle, square = np.zeros((2, n_parameter, n_parameter))
+    for lines in line_blocks(jacobian):
+        wide = slice(max(lines.start - noise.reach, 0), min(lines.stop + noise.reach, n_line))
+        here, columns = slice(lines.start - wide.start, lines.stop - wide.start), jacobian[wide]
+        product = noise.at(wide).times(columns)[here].reshape(-1, n_parameter)
+        middle += (columns[here].reshape(product.shape).conj().T @ product).real
+        square += (product.conj().T @ product).real
+    half = inverse @ middle
     mean = 2 * noise.trace * n_element - float(np.sum(inverse * middle))
     spread = 2 * (noise.power * n_element - float(np.sum(inverse * square))) + float(np.trace(half @ half))
     return SharedResidual(half @ inverse, mean, mean**2 / spread)

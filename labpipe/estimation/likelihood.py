@@ -260,8 +260,8 @@ def assess(
     uncertainty = weight_uncertainty(measured, dof)
     covariance = uncertainty.inflation * inverse
     if noise is not None:
-        jacobian = problem.jacobian(values)
-        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, jacobian, inverse)
+        rows = complex_rows(problem.jacobian(values), measured.omega.size)
+        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, rows, inverse)
     pulls = None
     if stated is not None:
         jacobian, residual = problem.jacobian(values), problem.residual(values)

@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
-from labpipe.estimation.leakage import LineBlocks, SharedNoise, shared_residual
+from labpipe.estimation.leakage import LineBlocks, LineRows, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.statistics import stack
 from labpipe.records.response import BlockCovariance
@@ -134,18 +134,18 @@ def fitted_uncertainty(
     measured: Measured,
     noise: SharedNoise | LineBlocks,
     uncertainty: WeightUncertainty,
-    jacobian: FloatArray,
+    rows: LineRows,
     inverse: FloatArray,
 ) -> tuple[FloatArray, WeightUncertainty]:
     """Covariance of the estimates (n_parameter, n_parameter) [parameter units] and the uncertainty of the
-    residual of a fit with *jacobian* (n_equation, n_parameter) and *inverse* (J^T J)^-1.
+    residual of a fit with complex *rows* (n_line, n_element, n_parameter) of J and *inverse* (J^T J)^-1.
 
     The matrix *noise* replaces *inflation* and *shared* of the *uncertainty*. Under an exponential window
     errors of the noise are common to a resonance: of one response a factor of its weights, which costs no
     efficiency; of more, *inflation* over that of one. Equation (est-ml-covariance).
     """
-    residual = shared_residual(noise, complex_rows(jacobian, measured.omega.size), inverse)
-    dof = jacobian.shape[0] - jacobian.shape[1]
+    residual = shared_residual(noise, rows, inverse)
+    dof = measured.n_equation - rows.shape[2]
     shared = dof / residual.dof
     estimated = np.isfinite(measured.noise_dof)
     excess = uncertainty.excess * residual.mean / dof

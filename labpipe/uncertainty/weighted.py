@@ -109,6 +109,10 @@ def weighted_fit(
     if not np.all(np.isfinite(values)):
         raise FitError("a value is not a number, so tests cannot be weighted")
     changes = np.zeros((0, values.size)) if changes is None else changes
+    # Before the search for the scatter: no scatter makes columns alike.
+    if np.linalg.matrix_rank(_whiten(columns, joint_errors(errors, changes))) < columns.shape[1]:
+        hint = "a trend needs at least two different values"
+        raise FitError("the tests do not differ in the condition", hint=hint)
     inverse, chi2, weights = _solve(columns, values, errors, changes)
     dof, known = values.size - columns.shape[1], inverse
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
@@ -133,9 +137,6 @@ def _solve(
     """Covariance (n_parameter, n_parameter), chi-square, weights (n_parameter, n) of the values."""
     whole = joint_errors(errors, changes)
     design, whitened = _whiten(columns, whole), _whiten(np.eye(values.size), whole)
-    if np.linalg.matrix_rank(design) < columns.shape[1]:
-        hint = "a trend needs at least two different values"
-        raise FitError("the tests do not differ in the condition", hint=hint)
     covariance = np.linalg.inv(design.T @ design)
     weights = covariance @ design.T @ whitened
     return covariance, float(np.sum((whitened @ (values - columns @ (weights @ values))) ** 2)), weights

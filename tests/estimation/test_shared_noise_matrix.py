@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.estimation import leakage
 from labpipe.estimation.leakage import LineBlocks, LinePairs, SharedNoise, shared_residual
 
 NUMBERS = np.array([7, 8, 9, 11, 12, 15, 16, 17, 18, 22])
@@ -128,3 +129,21 @@ def test_blocks_of_near_lines_are_the_covariance_of_real_and_imaginary_parts(
         ]
     )
     assert np.sum(real**2) == pytest.approx(2 * 2 * noise.power)
+
+
+@pytest.mark.parametrize("at_once", [1, 40])
+def test_lines_held_a_few_at_a_time_are_all_lines(
+    noise: SharedNoise, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    """The covariance A J^H R J A with the matrix R written out, from one line or some at a time."""
+    jacobian = rng.normal(size=(NUMBERS.size, N_ELEMENT, 3)) + 1j * rng.normal(
+        size=(NUMBERS.size, N_ELEMENT, 3)
+    )
+    inverse = np.linalg.inv(np.einsum("lep,leq->pq", jacobian.conj(), jacobian).real)
+    middle = sum(
+        jacobian[:, element].conj().T @ literal(noise, element) @ jacobian[:, element]
+        for element in range(N_ELEMENT)
+    )
+    monkeypatch.setattr(leakage, "NUMBERS_AT_ONCE", at_once)
+    found = shared_residual(noise, jacobian, inverse)
+    np.testing.assert_allclose(found.covariance, inverse @ middle.real @ inverse, rtol=1e-10)

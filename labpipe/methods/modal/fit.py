@@ -15,18 +15,40 @@ from labpipe.display import chance_text
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
 from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text, quality_findings
-from labpipe.estimation.measured import Measured, changes_by, matrix_errors, measured_part, select_ports
+from labpipe.estimation.measured import (
+    SHARE,
+    Measured,
+    changes_by,
+    matrix_errors,
+    measured_part,
+    select_ports,
+)
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
 from labpipe.methods.modal import model_error, poles as lscf
 from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine_one_step
-from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, add_moved_modes, align_measured, alignment
+from labpipe.methods.modal.moved import (
+    FEWEST_POINTS,
+    Moved,
+    MovedMode,
+    MovedReferences,
+    add_moved_modes,
+    align_measured,
+    alignment,
+    moved_references,
+)
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
-from labpipe.methods.modal.whole_covariance import ModalEstimate, ModalReceptance, covariance_fit, regular
+from labpipe.methods.modal.whole_covariance import (
+    ModalEstimate,
+    ModalReceptance,
+    ModalRows,
+    covariance_fit,
+    regular,
+)
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
@@ -57,15 +79,17 @@ def _sources(
     model = ModalReceptance.of(terms, refined, measured, real=real)
     values = model.join(refined, measured)
     problem = OutputError(measured, model, whitener(regular(measured)))
-    jacobian = problem.jacobian(values)
-    step = solve_scaled(jacobian, problem.residual(values))[1] @ jacobian.T
+    rows = ModalRows(problem, values)
+    projected = rows.project(np.array([error.change for error in errors]))
+    steps = SHARE * (inverse_of(rows.linearise()) @ projected)
 
-    def change_of(change: ComplexArray) -> FloatArray:
-        poles, participation, shapes, _ = model.split(values - step @ problem.whiten(change))
+    def at(step: FloatArray) -> FloatArray:
+        poles, participation, shapes, _ = model.split(values - step)
         again = replace(refined, poles=poles, participation=participation, shapes=shapes)
         return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
 
-    return [*changes_by(errors, change_of), *of_mass]
+    changes = [(at(step) - at(-step)) / (2 * SHARE) for step in steps.T]
+    return [*zip((error.uncertainty for error in errors), changes, strict=True), *of_mass]
 
 
 def mismatch(estimate: ModalEstimate) -> float | None:
@@ -79,10 +103,10 @@ def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
 
 
 def modal_findings(
-    estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError]
+    estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError], beside: Sequence[float] = ()
 ) -> tuple[Finding, ...]:
     """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on
-    neighbouring lines.
+    neighbouring lines, for which modes *beside* the band [Hz] may stand.
     """
     warnings = []
     if not estimate.refined.converged:
@@ -104,9 +128,16 @@ def modal_findings(
     if what:
         reasons = [f"mode {number}: {error.likely}" for number, error in errors.items()]
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
+        cure = "Name a missing mode in `poles`, or narrow the band"
+        if beside:
+            places = ", ".join(f"{frequency:.4g} Hz" for frequency in beside)
+            likely = (
+                f"Most likely a mode just beyond the band, at about {places}, whose flank reaches into it. "
+            )
+            cure = "Widen the band until it holds that mode, or end it further away"
         message = (
             f"{what}. {likely}Values and intervals of each mode include what the model leaves unexplained "
-            "in its band. Name a missing mode in `poles`, or narrow the band"
+            f"in its band. {cure}"
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -165,8 +196,6 @@ def modal_notes(
 
 SINGLE = "with one reference a mode with a node there is not seen, and modes of the same frequency are one"
 TURNED = "the forces are the points of the shapes, the responses the references (reciprocity is assumed)"
-# Share of the band by which lines on either side are looked at as well.
-BEYOND = 0.15
 RECEPTANCE = "receptance"
 # Lines per order of the denominator below which a polynomial follows the noise.
 LINES_PER_ORDER = 4
@@ -258,12 +287,18 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
 
 def _move_to_mean_poles(
     sides: _Sides, whole: lscf.Completed, correlation: tuple[complex, ...], modal: ModalSettings
-) -> tuple[_Sides, lscf.Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+) -> tuple[_Sides, lscf.Completed, Moved, tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
-    moving = modal.moving_mass is not None
-    lines, whole, moved, loaded = add_moved_modes(sides.lines, whole, correlation, moving=moving)
-    return replace(sides, lines=lines, measured=align_measured(sides.measured, moved)), whole, moved, loaded
+    moving, lines = modal.moving_mass is not None, sides.lines
+    apart: tuple[MovedReferences, ...] = ()
+    if (found := moved_references(lines, whole, correlation)) is not None:
+        lines, whole, apart = found[1], found[2], found[:1]
+    lines, whole, modes, findings = add_moved_modes(lines, whole, correlation, moving=moving)
+    moved: Moved = (*apart, *modes)
+    names = [port.label for port in sides.measured.inputs]
+    findings = (*(references.finding(names) for references in apart), *findings)
+    return replace(sides, lines=lines, measured=align_measured(sides.measured, moved)), whole, moved, findings
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
@@ -303,7 +338,7 @@ def _beyond(
     """
     whole = band[1] - band[0]
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
-    more = max(BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
+    more = max(model_error.BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
     measured = measured_part(response, rows, columns, lines)
     return _turn(measured) if sides.forces_move else measured
@@ -408,7 +443,7 @@ def _report(
     whole: lscf.Completed,
     estimate: ModalEstimate,
     beyond: Measured,
-    moved: Sequence[MovedMode],
+    moved: Moved,
 ) -> Fit:
     refined, measured = estimate.refined, sides.measured
     matrix = model_error.frequency_correlation(refined)
@@ -419,10 +454,12 @@ def _report(
     p_noise = 1.0 if exact else whole.p_noise
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, p_noise))
     errors: dict[int, ModelError] = {}
-    instead = [mode for mode in moved if mode.instead]
-    moved = [mode for mode in moved if not mode.instead]
+    apart = [references for references in moved if isinstance(references, MovedReferences)]
+    modes = [mode for mode in moved if isinstance(mode, MovedMode)]
+    instead = [mode for mode in modes if mode.instead]
+    modes = [mode for mode in modes if not mode.instead]
     moving = settings.model_settings.moving_mass is not None
-    shown = misfit or bool(moved) or moving
+    shown = misfit or bool(modes) or moving
     # The mass that moves is taken off the points alone.
     judged = refined.converged and (settings.judged or moving)
     if judged and (shown or (estimate.chi2_reduced is None and not exact and p_noise > 0)):
@@ -432,10 +469,13 @@ def _report(
             estimate,
             parameters,
             misfit,
-            moved,
+            modes,
             moving=moving,
             driving=model_error.strongest_points(refined, sides.driving_points),
         )
+    beside: Sequence[float] = ()
+    if judged and misfit:
+        beside = model_error.modes_beside(sides.lines, whole, estimate.chi2_reduced)
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are not a fault of the modes.
     named = errors if misfit or not shown else {}
@@ -443,6 +483,8 @@ def _report(
         parameters = model_error.with_model_errors(
             parameters, errors, estimate, measured.omega / (2 * np.pi), instead
         )
+    for references in apart:
+        parameters = tuple(references.held_by(parameter) for parameter in parameters)
     n_parameter = measured.n_equation - estimate.dof
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, n_parameter)
     return Fit(
@@ -459,7 +501,7 @@ def _report(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, p_noise, named, beside), *loaded, *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(measured.inputs), sides.forces_move),
     )
 
@@ -476,12 +518,10 @@ def _diagram_record(lines: FrfLines, diagram: lscf.Diagram) -> StabilisationDiag
     )
 
 
-def _curve(
-    form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved: Sequence[MovedMode]
-) -> FittedCurve:
+def _curve(form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved: Moved) -> FittedCurve:
     measured = sides.measured
     frequency = measured.omega / (2 * np.pi)
-    away = alignment(1j * measured.omega, moved)
+    away = alignment(measured.omega, measured.leakage, moved)
     outputs, inputs = measured.outputs, measured.inputs
     factor = receptance_factor(form, frequency)[:, None, None]
     parts: list[Any] = [(matrix - away) * factor for matrix in (measured.matrix, estimate.fitted)]

@@ -15,10 +15,11 @@ import scipy
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.estimation.diagnostics import MISMATCH_P
+from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import FrfLines, Refined, pole_functions, remaining
-from labpipe.methods.modal.poles import Completed, refine_with_terms, whiteness
+from labpipe.methods.modal.likelihood import FrfLines, Refined, leaking_functions, pole_functions, remaining
+from labpipe.methods.modal.poles import Completed, complete, kept_modes, refine_with_terms, whiteness
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -37,6 +38,7 @@ AS_NOISE = 1.3
 MOST_MOVED = 8.0
 # Points disagree on a mode below this chance.
 DISAGREE = 1e-3
+APART = "the references disagree in frequency"
 PAIR = "a pair, or one mode that moves from point to point: one reference cannot tell"
 
 
@@ -105,15 +107,10 @@ class MovedMode:
     def held_by(self, parameter: Parameter) -> Parameter:
         """A frequency or damping of a pole that this mode may stand for, whose interval holds this mode's."""
         ends = self.point_ends()
-        if not ends or parameter.ci95 is None or parameter.std_error is None:
+        if not ends:
             return parameter
         low, high = np.exp(ends[0 if parameter.name.startswith("f_n") else 1])
-        held = (min(parameter.ci95[0], float(low)), max(parameter.ci95[1], float(high)))
-        if held == parameter.ci95:
-            return parameter
-        full = max((held[1] - held[0]) / (2 * NORMAL), parameter.std_error)
-        parts = IntervalParts(parameter.std_error, float(np.sqrt(full**2 - parameter.std_error**2)))
-        return replace(parameter, std_error_inflated=full, ci95=held, interval=parts, reason=PAIR)
+        return _hold(parameter, float(low), float(high), PAIR)
 
     @property
     def finding(self) -> Finding:
@@ -135,18 +132,127 @@ class MovedMode:
         return note("moved-mode", message)
 
 
-def alignment(s: ComplexArray, moved: Sequence[MovedMode]) -> ComplexArray | float:
-    """What takes all points to the mean poles of *moved* modes, (n_line, n_point, n_reference) [unit of the
-    FRF], on *s* (n_line,) [rad/s]; 0 without any.
+def _hold(parameter: Parameter, low: float, high: float, reason: str) -> Parameter:
+    if parameter.ci95 is None or parameter.std_error is None:
+        return parameter
+    held = (min(parameter.ci95[0], low), max(parameter.ci95[1], high))
+    if held == parameter.ci95:
+        return parameter
+    full = max((held[1] - held[0]) / (2 * NORMAL), parameter.std_error)
+    parts = IntervalParts(parameter.std_error, float(np.sqrt(full**2 - parameter.std_error**2)))
+    return replace(parameter, std_error_inflated=full, ci95=held, interval=parts, reason=reason)
+
+
+@dataclass(frozen=True)
+class MovedReferences:
+    """References at which all frequencies are e^shift times those of their mean, *shifts* (n_reference,) [1],
+    with *poles* (n_reference, n_mode) [rad/s] and *residues* (n_reference, n_point, n_mode) [unit of the FRF
+    times rad/s] of their own.
     """
-    return sum((mode.align(s) for mode in moved if not mode.instead), start=0.0)
+
+    shifts: FloatArray
+    poles: ComplexArray
+    residues: ComplexArray
+    hysteretic: bool
+
+    def align(self, omega: FloatArray, leakage: Leakage | None) -> ComplexArray:
+        """What takes every reference to the frequencies of their mean, (n_line, n_point, n_reference) [unit
+        of the FRF], at *omega* (n_line,) [rad/s] with the *leakage* of random data.
+        """
+        changes = []
+        for shift, poles, residues in zip(self.shifts, self.poles, self.residues, strict=True):
+            both = np.concatenate([poles * np.exp(-shift), poles])
+            (a, b), _ = leaking_functions(omega, both, leakage, self.hysteretic)
+            a, b = (of[:, : poles.size] - of[:, poles.size :] for of in (a, b))
+            changes.append(a @ residues.T + b @ residues.T.conj())
+        return np.stack(changes, axis=-1)
+
+    def held_by(self, parameter: Parameter) -> Parameter:
+        """A frequency, or a stiffness ~ f^2, whose interval holds those of all references."""
+        power = {"f_n": 1, "k": 2}.get(parameter.name.rpartition("_")[0], 0)
+        if parameter.ci95 is None or not power:
+            return parameter
+        low, high = (np.exp(power * end) for end in (np.min(self.shifts), np.max(self.shifts)))
+        return _hold(parameter, float(parameter.ci95[0] * low), float(parameter.ci95[1] * high), APART)
+
+    def finding(self, names: Sequence[str]) -> Finding:
+        """A warning by how much the references, called *names*, disagree."""
+        lowest, highest = int(np.argmin(self.shifts)), int(np.argmax(self.shifts))
+        message = (
+            f"the references disagree in frequency by {100 * np.expm1(np.ptp(self.shifts)):.2g} %: all modes "
+            f"of {names[lowest]} lie below those of {names[highest]}. The structure changed between their "
+            "recordings (temperature, sensors that were moved, supports). Each mode is fitted once, at the "
+            "mean, and intervals of f_n and k hold all references. Measure them in one state, or name one of "
+            "them under `input` or `output`"
+        )
+        return Finding("moved-mode", message)
 
 
-def align_measured(measured: Measured, moved: Sequence[MovedMode]) -> Measured:
-    """The FRFs with every point at the mean poles of the *moved* modes."""
+# What is taken to its mean.
+Moved = tuple[MovedMode | MovedReferences, ...]
+
+
+def moved_references(
+    lines: FrfLines, done: Completed, correlation: tuple[complex, ...]
+) -> tuple[MovedReferences, FrfLines, Completed] | None:
+    """How references differ in frequency where they do so alike in all modes, the FRFs at their mean and
+    the modes of these; None where a residual of single poles is noise, or the references do not differ.
+
+    Every reference is fitted by itself; ln f_n over the mean of the references, weighted over the modes by
+    its noise, differs from 0 by Student's t of the scatter between modes. Equation (modal-references).
+    """
+    refined, n_reference = done.refined, lines.matrix.shape[2]
+    chains = _chains(refined)
+    if n_reference < 2 or len(chains) < FEWEST_POINTS:
+        return None
+    if done.p_noise >= MISMATCH_P and len(chains) == refined.poles.size:
+        return None
+    start = np.array([np.mean(refined.poles[chain]) for chain in chains])
+    single = [replace(lines, matrix=lines.matrix[:, :, [n]]) for n in range(n_reference)]
+    ones = np.ones((start.size, 1), np.complex128)
+    alone = [refine_with_terms(frfs, start, ones)[0] for frfs in single]
+    poles = np.array([fit.poles for fit in alone])
+    if np.any(poles.real >= 0):
+        return None
+    logs = np.log(np.abs(poles))
+    variance = lines.shared * np.array([np.diag(fit.covariance)[1 : 2 * start.size : 2] for fit in alone])
+    weights = np.abs(poles) ** 2 / variance
+    # A mode counts as its worst reference tells it.
+    weights = np.min(weights, axis=0)
+    away = logs - np.mean(logs, axis=0)
+    shifts = np.average(away, axis=1, weights=weights)
+    scatter = np.sqrt(np.average((away - shifts[:, None]) ** 2, axis=1, weights=weights) / (start.size - 1))
+    error = np.maximum(scatter, 1 / np.sqrt(np.sum(weights)))
+    if np.max(np.abs(shifts) / error) < student_quantile(1 - DISAGREE / 2, start.size - 1):
+        return None
+    residues = np.array([fit.shapes * fit.participation.T for fit in alone])
+    apart = MovedReferences(shifts, poles, residues, lines.hysteretic)
+    change = apart.align(lines.omega, lines.leakage) * (lines.s**lines.power)[:, None, None]
+    lines = replace(lines, matrix=lines.matrix + change)
+    participation = np.linalg.svd(residues.transpose(2, 1, 0), full_matrices=False)[2][:, 0]
+    again, terms = refine_with_terms(lines, np.exp(np.mean(np.log(poles), axis=0)), participation)
+    again, terms, _ = kept_modes(again, terms)
+    return apart, lines, complete(again, terms, correlation, adding=True)
+
+
+def alignment(omega: FloatArray, leakage: Leakage | None, moved: Moved) -> ComplexArray | float:
+    """What takes all points and references to the mean poles of *moved* modes, (n_line, n_point, n_reference)
+    [unit of the FRF], at *omega* (n_line,) [rad/s] with the *leakage* of random data; 0 without any.
+    """
+    changes: list[ComplexArray] = []
+    for mode in moved:
+        if isinstance(mode, MovedReferences):
+            changes.append(mode.align(omega, leakage))
+        elif not mode.instead:
+            changes.append(mode.align(1j * omega))
+    return sum(changes, start=0.0)
+
+
+def align_measured(measured: Measured, moved: Moved) -> Measured:
+    """The FRFs with every point and reference at the mean poles of the *moved* modes."""
     if not moved:
         return measured
-    return replace(measured, matrix=measured.matrix + alignment(1j * measured.omega, moved))
+    return replace(measured, matrix=measured.matrix + alignment(measured.omega, measured.leakage, moved))
 
 
 def add_moved_modes(
@@ -180,7 +286,7 @@ def add_moved_modes(
     rest = np.setdiff1d(np.arange(refined.poles.size), list(merged))
     poles = np.concatenate([refined.poles[rest], [mode.pole for mode in moved]])
     participation = np.vstack([refined.participation[rest], [mode.reference for mode in moved]])
-    change = alignment(lines.s, moved) * (lines.s**lines.power)[:, None, None]
+    change = alignment(lines.omega, None, moved) * (lines.s**lines.power)[:, None, None]
     plain, lines = lines, replace(lines, matrix=lines.matrix + change)
     again, terms = refine_with_terms(lines, poles, participation)
     frequency = np.abs(again.poles)

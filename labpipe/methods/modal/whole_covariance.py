@@ -4,6 +4,7 @@ as one output-error fit.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,22 +12,30 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import FitError
-from labpipe.estimation.descent import Minimum, minimise
-from labpipe.estimation.leakage import leaking_noise
+from labpipe.estimation.descent import Linearisation, Minimum, linearise_blocks, minimise
+from labpipe.estimation.leakage import leaking_noise, line_blocks
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import solve_scaled
+from labpipe.estimation.regression import inverse_of
 from labpipe.estimation.weights import (
+    complex_rows,
     fitted_uncertainty,
     has_noise,
     singular_lines,
     weight_uncertainty,
+    white_columns,
     whitener,
 )
-from labpipe.methods.modal.likelihood import Refined, ResidualTerms, pole_functions, refine_lines
+from labpipe.methods.modal.likelihood import (
+    PoleFunctions,
+    Refined,
+    ResidualTerms,
+    pole_functions,
+    refine_lines,
+)
 
-# Largest number of entries of the Jacobian.
-MOST_ENTRIES = 40_000_000
+# Largest number of products that J^T J of one step takes: about a minute.
+MOST_PRODUCTS = 1e12
 # Lines whose covariance has no inverse, as a share of all, that may have their variances instead.
 FEW_SINGULAR = 0.05
 
@@ -145,11 +154,18 @@ class ModalReceptance:
         of_terms = np.einsum("lt,oit->loi", self.basis, factors)
         return self._sum_modes(poles, participation, shapes) + of_terms
 
-    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
-        poles, participation, shapes, _ = self.split(parameters)
-        (a, b), (a_slope, b_slope) = self.terms.lines.functions(poles)
-        slopes = np.zeros((self.free.size // 2, 2, omega.size, self.n_output, self.n_input), np.complex128)
+        functions = self.terms.lines.functions(self.split(parameters)[0])
+        return self.slopes(parameters, functions, slice(None))
+
+    def slopes(self, parameters: FloatArray, functions: PoleFunctions, lines: slice) -> ComplexArray:
+        """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit] of some *lines*, with the
+        *functions* of the poles at *parameters* (n_parameter,) [parameter units] on all.
+        """
+        _, participation, shapes, _ = self.split(parameters)
+        (a, b), (a_slope, b_slope) = (tuple(part[lines] for part in pair) for pair in functions)
+        slopes = np.zeros((self.free.size // 2, 2, len(a), self.n_output, self.n_input), np.complex128)
         place = iter(slopes)
         for mode in range(self.n_mode):
             residue = np.outer(shapes[:, mode], participation[mode])
@@ -159,9 +175,55 @@ class ModalReceptance:
         for output, mode in np.ndindex(self.n_output, self.n_mode):
             next(place)[:, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
         for output, column in np.ndindex(self.n_output, self.n_input):
-            for term in self.basis.T:
+            for term in self.basis[lines].T:
                 next(place)[:, :, output, column] = term, 1j * term
-        return slopes.reshape(self.free.size, omega.size, self.n_output, self.n_input)[self.free]
+        return slopes.reshape(self.free.size, *slopes.shape[2:])[self.free]
+
+
+@dataclass(frozen=True)
+class ModalRows:
+    """The whitened Jacobian of a *problem* at *values* (n_parameter,) [parameter units], made for some lines
+    at a time: complex rows (n_line, n_element, n_parameter) [1 per parameter unit].
+    """
+
+    problem: OutputError[ModalReceptance]
+    values: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        n_line, n_output, n_input = self.problem.measured.matrix.shape
+        return n_line, n_output * n_input, self.values.size
+
+    @cached_property
+    def _functions(self) -> PoleFunctions:
+        model = self.problem.model
+        return model.terms.lines.functions(model.split(self.values)[0])
+
+    def __getitem__(self, lines: slice, /) -> ComplexArray:
+        slopes = self.problem.model.slopes(self.values, self._functions, lines)
+        return -np.sqrt(2.0) * white_columns(self.problem.weights, lines, slopes.transpose(1, 2, 3, 0))
+
+    def linearise(self) -> Linearisation:
+        """The linearisation there, block by block."""
+        n_line, _, n_parameter = self.shape
+        residual = complex_rows(self.problem.residual(self.values), n_line)
+
+        def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
+            for lines in line_blocks(self):
+                sides = self[lines].reshape(-1, n_parameter), residual[lines].ravel()
+                jacobian, rest = (np.concatenate([side.real, side.imag]) for side in sides)
+                yield jacobian, rest
+
+        return linearise_blocks(blocks, n_parameter)
+
+    def project(self, changes: ComplexArray) -> FloatArray:
+        """J^T W dH (n_parameter, n_change) [parameter units inverse] of *changes* dH (n_change, n_line,
+        n_output, n_input) [m/N].
+        """
+        white = [complex_rows(self.problem.whiten(change), len(change)) for change in changes]
+        side = np.moveaxis(np.array(white), 0, -1)
+        blocks = ((self[lines], side[lines]) for lines in line_blocks(self))
+        return sum(np.einsum("lep,lec->pc", rows.conj(), part).real for rows, part in blocks)
 
 
 @dataclass(frozen=True)
@@ -195,8 +257,8 @@ def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArra
 def covariance_fit(
     measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False
 ) -> ModalEstimate:
-    """The refined modes again, with the covariance of the FRF as weight where there is one and the Jacobian
-    can be held in memory.
+    """The refined modes again, with the covariance of the FRF as weight where there is one and the products
+    of the Jacobian, of which some lines are held at a time, do not take too long.
 
     Without it the estimate is that of *refined*, whose noise comes from the residual; *real*: real modes.
     """
@@ -205,21 +267,22 @@ def covariance_fit(
     dof = measured.n_equation - model.n_parameter
     if not has_noise(measured) and refined.converged:
         refined = refine_lines(terms, refined, real=real)
-    if not has_noise(measured) or model.n_parameter * measured.n_equation > MOST_ENTRIES:
+    if not has_noise(measured) or model.n_parameter**2 * measured.n_equation > MOST_PRODUCTS:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:
         weights, uncertainty = whitener(regular(measured)), weight_uncertainty(measured, dof)
     except FitError as error:
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof, unused=error.what)
     problem = OutputError(measured, model, weights)
-    minimum = minimise(problem, start)
-    jacobian = problem.jacobian(minimum.values)
-    _, inverse = solve_scaled(jacobian, problem.residual(minimum.values))
+    minimum = minimise(problem, start, linearise=lambda values: ModalRows(problem, values).linearise())
+    rows = ModalRows(problem, minimum.values)
+    linear = rows.linearise()
+    inverse = inverse_of(linear)
     covariance = uncertainty.inflation * inverse
     noise = measured.noise or leaking_noise(measured, _Modes(model), minimum.values)
     if noise is not None:
-        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, jacobian, inverse)
-    reduced = problem.chi2(minimum.values) / dof / uncertainty.excess
+        covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, rows, inverse)
+    reduced = linear.chi2 / dof / uncertainty.excess
     again = _refine(model, minimum, covariance, refined)
     fitted = model.receptance(minimum.values, measured.omega)
     return ModalEstimate(again, fitted, dof, reduced, uncertainty.p_value(reduced, dof))

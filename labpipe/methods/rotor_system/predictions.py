@@ -104,7 +104,7 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     highest = np.sqrt(size[-2] * size[-1]) if size.size > MOST_MODES else np.inf
 
     def least_of(values: FloatArray) -> FloatArray:
-        each = model.roots(at_speed(model, values), spin, 2 * MOST_MODES, slopes=False).values
+        each = model.eigenvalues(at_speed(model, values), spin, 2 * MOST_MODES)
         return np.array(np.min(decrements(each[np.abs(each) < highest]), initial=np.inf))
 
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
@@ -132,7 +132,7 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
     model = posterior.model
 
     def growth(speed: float, values: FloatArray) -> float:
-        eigenvalues = model.roots(values, 2 * np.pi * speed, 2 * MOST_MODES, slopes=False).values
+        eigenvalues = model.eigenvalues(values, 2 * np.pi * speed, 2 * MOST_MODES)
         return float(np.max(eigenvalues.real, initial=-1.0)) - GROWTH_TOLERANCE
 
     def speed_of(unknowns: FloatArray, accuracy: float = 1e-3) -> float:

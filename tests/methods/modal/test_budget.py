@@ -156,10 +156,10 @@ def test_a_direction_moves_modal_masses_as_refits_say(of_force: bool) -> None:
 
 
 def test_budgets_of_large_matrices_are_those_of_refits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the Jacobian of all parameters a fit has the weights of its residual, here of one output a
+    """Without the covariance of all FRFs a fit has the weights of its residual, here of one output a
     hundred times as noisy as the other: to 1 % of the combined uncertainty.
     """
-    monkeypatch.setattr(whole_covariance, "MOST_ENTRIES", 0)
+    monkeypatch.setattr(whole_covariance, "MOST_PRODUCTS", 0)
     response = uncertain(known=True)
     noise = np.random.default_rng(8).standard_normal((2, *response.matrix[:, 1].shape))
     matrix = response.matrix.copy()

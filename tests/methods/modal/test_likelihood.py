@@ -17,8 +17,9 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine, refine_lines, remaining
 from labpipe.methods.modal.model_error import modal_parameters
 from labpipe.methods.modal.poles import criterion, normal_equations, refine_with_terms, stabilisation
+from labpipe.methods.modal.settings import ModalSettings
 from labpipe.methods.modal.whole_covariance import ModalReceptance
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from tests.methods.modal.structures import DAMPING, FREQUENCIES, nine_modes
 
 
@@ -267,3 +268,32 @@ def test_the_last_digit_of_the_start_decides_nothing() -> None:
     assert (
         np.all(off < 0.02 * np.hypot(error[0::2], error[1::2])) and abs(ends[0].poles[0]) > 2 * np.pi * 80.9
     )
+
+
+@pytest.mark.long
+def test_many_frfs_are_judged_like_few() -> None:
+    """Twenty-four FRFs on 3,600 lines, whose Jacobian has more than 40 million entries: the known noise has
+    the chi-square of its degrees of freedom, and two modes lie within four of their standard errors.
+    """
+    structure, level = nine_modes(8, 12_560), 0.02
+    matrix, band = structure.noisy(level, 1), (85.0, 128.0)
+    variance = level**2 * np.mean(np.abs(structure.matrix) ** 2, axis=0)
+    ports = tuple(Port(f"p{n}", f"p{n}", f"p{n}") for n in range(8))
+    response = FrequencyResponse(
+        structure.frequency,
+        matrix,
+        ports,
+        ports[:3],
+        form="accelerance",
+        covariance=diagonal_covariance(np.broadcast_to(variance, matrix.shape)),
+    )
+    settings = FitSettings("modal", band=band, model_settings=ModalSettings((2, 14)))
+    (fit,) = identify(response, settings)
+    assert fit.equations * (fit.equations - fit.dof) > 40e6
+    assert fit.gof.chi2_reduced == pytest.approx(1, abs=4 * np.sqrt(2 / fit.dof))
+    assert not fit.findings
+    for number in (1, 2):
+        pole = structure.poles[5 + number]
+        for name, true in (("f_n", abs(pole) / (2 * np.pi)), ("zeta", -pole.real / abs(pole))):
+            found = fit.parameter(f"{name}_{number}")
+            assert abs(found.value - true) < 4 * found.std_error

@@ -197,3 +197,27 @@ def test_leakage_of_random_data_is_no_model_error() -> None:
             held += stated.ci95[0] <= truth <= stated.ci95[1]
             worst = max(worst, abs(stated.value / truth - 1))
     assert held >= 11 and worst < 0.01
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("gain", "named"), [(0.0, True), (0.1, False)])
+def test_a_mode_just_beyond_the_band_is_named(known: bool, gain: float, named: bool) -> None:
+    """Three modes in closed form; a band to 160.5 Hz ends 1.3 half-power widths below the one at 163 Hz. A
+    gain curve in the middle of a band that ends far from it is no such mode.
+    """
+    rng, frequency = np.random.default_rng(4), np.arange(60.0, 280.0, 0.25)
+    shapes = np.array([[1.0, 0.7, -0.4], [0.8, -0.5, 1.0], [-0.6, 1.0, 0.7]])
+    h = np.zeros((frequency.size, 3, 1), np.complex128)
+    for f_n, shape in zip((100.0, 163.0, 240.0), shapes, strict=True):
+        h[:, :, 0] += shape / (f_n**2 - frequency**2 + 2j * 0.006 * f_n * frequency)[:, None]
+    h *= (1 + gain * np.exp(-(((frequency - 97) / 4) ** 2)))[:, None, None]
+    std = 0.01 * float(np.sqrt(np.mean(np.abs(h) ** 2)))
+    noise = std * (rng.normal(size=h.shape) + 1j * rng.normal(size=h.shape)) / np.sqrt(2)
+    outputs = tuple(Port(f"a{n}", f"a{n}", f"{n}") for n in range(1, 4))
+    covariance = diagonal_covariance(np.full(h.shape, std**2)) if known else None
+    measured = FrequencyResponse(frequency, h + noise, outputs, (Port("f", "f", "1"),), covariance=covariance)
+    band = (65.0, 160.5 if named else 130.0)
+    (fit,) = identify(measured, FitSettings("modal", band=band))
+    (message,) = (finding.message for finding in fit.findings if finding.code == "model-mismatch")
+    assert ("Most likely a mode just beyond the band, at about 163" in message) == named
+    assert ("a mode just beyond" in message) == named

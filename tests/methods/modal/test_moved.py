@@ -16,6 +16,7 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.methods.modal.fit import loaded_findings
 from labpipe.methods.modal.moved import mean_of_points
 from labpipe.methods.modal.settings import ModalSettings
+from labpipe.records.finding import WARNING
 from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
@@ -195,3 +196,24 @@ def test_a_mode_that_too_few_points_show_is_said_to_be_loaded() -> None:
     (finding,) = loaded_findings(3, errors)  # type: ignore[arg-type]
     assert finding.code == "moved-mode" and "mode 2, 3 are those with the moving mass" in finding.message
     assert loaded_findings(1, errors) == ()  # type: ignore[arg-type]
+
+
+def test_references_of_other_frequencies_split_no_mode() -> None:
+    """One of three references with all frequencies .1 % higher, in closed form: H(w / 1.001) has the poles
+    times 1.001. Noise alone is left, by chi-square, and every interval holds both states.
+    """
+    response, other = roving(1, 0.0), roving(1, 0.0, lines=FREQUENCY / 1.001)
+    matrix = response.matrix.copy()
+    matrix[:, 1] = other.matrix[:, 1]
+    fit = fitted(replace(response, matrix=matrix))
+    assert len(fit.detail(Modes).frequency) == 3 and np.min(likeness(fit)) > 0.999
+    assert fit.gof.chi2_reduced == pytest.approx(1, abs=4 * np.sqrt(2 / fit.dof))
+    (finding,) = fit.findings
+    assert finding.code == "moved-mode" and finding.level == WARNING
+    assert "the references disagree in frequency by 0.1 %: all modes of y" in finding.message
+    assert "lie below those of y1" in finding.message
+    for number, f_n in enumerate(MODES, start=1):
+        low, high = fit.parameter(f"f_n_{number}").ci95
+        # Two of three lie .033 % below the mean, one .067 % above it.
+        assert low < f_n < 1.001 * f_n < high and high - low < 0.0015 * f_n
+    assert not fitted(response).findings
