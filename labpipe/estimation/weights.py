@@ -116,7 +116,7 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies
     little from line to line, slightly too large where neighbours have a common noise estimate. FitError for
-    nu <= n + 1. Equation (est-weights).
+    nu <= n + 1. Equations (est-weights), (est-weight-dof).
     """
     nu, n = _weight_dof(measured), _responses_of_one(measured)[0]
     if not np.isfinite(nu):
@@ -136,7 +136,6 @@ def _weight_dof(measured: Measured) -> float:
     nu / (nu - n) C^-1. Lines under an exponential window share noise: their mean is sum_i l_i W_i, W_i of the
     degrees of freedom nu_0 of one line and l the eigenvalues of the lines' correlation over their number, of
     which 1 / s = sum_i l_i / (1 + s l_i n / nu_0) tells E[S^-1] = s C^-1 (Couillet and Debbah 2011, sec. 6).
-    Equation (est-weight-dof).
     """
     n, shared = _responses_of_one(measured)[0], measured.noise
     if shared is None or measured.noise_lines <= 1:
