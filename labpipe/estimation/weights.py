@@ -10,13 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail, f_tail
 from labpipe.errors import FitError
 from labpipe.estimation.leakage import LineBlocks, LineRows, SharedNoise, shared_residual
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.statistics import stack
+from labpipe.estimation.statistics import bisect, stack
 from labpipe.records.response import BlockCovariance
 
 # Share of the standard deviations by which a covariance may differ from such a product: rounding.
@@ -115,9 +116,9 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
 
     s = sum of the correlation of a line's noise with all lines' (Hann: 1.9): exact where the model varies
     little from line to line, slightly too large where neighbours have a common noise estimate. FitError for
-    nu <= n + 1. Equation (est-weights).
+    nu <= n + 1. Equations (est-weights), (est-weight-dof).
     """
-    nu, n = measured.noise_dof, _responses_of_one(measured)[0]
+    nu, n = _weight_dof(measured), _responses_of_one(measured)[0]
     if not np.isfinite(nu):
         return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
@@ -128,6 +129,34 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
         )
     inflation, shared = measured.shared_noise * nu**2 / (a**2 - 1), measured.shared_power
     return WeightUncertainty(nu / a, inflation, _residual_dof(measured, dof, shared), shared)
+
+
+def _weight_dof(measured: Measured) -> float:
+    """Complex degrees of freedom nu of the covariance S of n responses by what its inverse shows, E[S^-1] =
+    nu / (nu - n) C^-1. Lines under an exponential window share noise: their mean is sum_i l_i W_i, W_i of the
+    degrees of freedom nu_0 of one line and l the eigenvalues of the lines' correlation over their number, of
+    which 1 / s = sum_i l_i / (1 + s l_i n / nu_0) tells E[S^-1] = s C^-1 (Couillet and Debbah 2011, sec. 6).
+    """
+    n, shared = _responses_of_one(measured)[0], measured.noise
+    if shared is None or measured.noise_lines <= 1:
+        return measured.noise_dof
+    held = shared.correlation
+    kernel = np.concatenate([[1.0], held, np.zeros(measured.omega.size)])
+    n_line = round(measured.noise_lines * (1 + 2 * float(np.sum(np.abs(held) ** 2))))
+    shares = np.maximum(np.linalg.eigvalsh(linalg.toeplitz(kernel[:n_line])), 0.0) / n_line
+    ratio = n * measured.noise_lines / measured.noise_dof
+
+    def is_below(s: float) -> bool:
+        return bool(s * np.sum(shares / (1 + s * shares * ratio)) < 1)
+
+    # As s grows the sum nears its number of lines over n / nu_0.
+    if np.count_nonzero(shares > 0) <= ratio:
+        return measured.noise_dof
+    highest = 2.0
+    while is_below(highest):
+        highest *= 2
+    s = bisect(is_below, 1.0, highest)
+    return n * s / (s - 1)
 
 
 def fitted_uncertainty(
@@ -142,7 +171,8 @@ def fitted_uncertainty(
 
     The matrix *noise* replaces *inflation* and *shared* of the *uncertainty*. Under an exponential window
     errors of the noise are common to a resonance: of one response a factor of its weights, which costs no
-    efficiency; of more, *inflation* over that of one. Equation (est-ml-covariance).
+    efficiency; of n the factor (nu / (nu - n + 1))^2 on the covariance that one set of weights of nu degrees
+    of freedom states (Reed, Mallett and Brennan 1974). Equation (est-ml-covariance).
     """
     residual = shared_residual(noise, rows, inverse)
     dof = measured.n_equation - rows.shape[2]
@@ -153,7 +183,8 @@ def fitted_uncertainty(
     changed = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
     lost = uncertainty.inflation / measured.shared_noise
     if measured.noise is not None and estimated:
-        lost *= ((measured.noise_dof - 1) ** 2 - 1) / measured.noise_dof**2
+        nu = _weight_dof(measured)
+        lost = (nu / (nu - _responses_of_one(measured)[0] + 1)) ** 2
     return lost * residual.covariance, changed
 
 
@@ -192,10 +223,11 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
     """
     n, q, copies = _responses_of_one(measured)
     n_line = measured.omega.size
-    a = measured.noise_dof - n
+    nu = _weight_dof(measured)
+    a = nu - n
     # Lines whose noise is averaged count as often as their noise is correlated anyway.
     estimates = max(min(measured.noise_lines * measured.shared_power, n_line), measured.shared_noise)
-    spread = measured.noise_dof * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line * copies)
+    spread = nu * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line * copies)
     # The fit reduces the residual: both parts scale with the remainder.
     scaled = spread * measured.n_equation / shared
     return float((2 * dof / shared - 4 + 4 * scaled) / (scaled - 2))

@@ -258,10 +258,7 @@ def _with_window_noise(
     ports = zip(averages, layout.acting, layout.output_columns, strict=True)
     of_hits = [average.align(raw, force, outputs) for average, force, outputs in ports]
     aligned = _average(of_hits, settings, layout)
-    # A hit's residual of 2 n_line n_output numbers has lost one for each course.
-    lost = max(course.shape[1] for course in courses.values()) / (2 * raw.matrix[:, :, 0].size)
-    covariance = correct_covariance(aligned.covariance, np.full(raw.matrix.shape, (1 - lost) ** -0.5 + 0j))
-    raw = replace(raw, matrix=aligned.matrix, covariance=covariance)
+    raw = replace(raw, matrix=aligned.matrix, covariance=aligned.covariance)
     parts, chosen = _on_lines(raw, averages, settings, layout), select_lines(raw.frequency, settings)
     common, names = [], ", ".join(average.name for average in averages)
     for force, course in courses.items():
@@ -545,14 +542,17 @@ class _HitAverage:
         other, shapes, here = copy(self), self.window_shapes(), np.array(outputs) >= 0
         variance = variance_of(parts.covariance)
         assert variance is not None and shapes is not None
-        weights = variance.reshape(parts.matrix.shape)[:, here, force] ** -0.5
+        noise = variance.reshape(parts.matrix.shape)[:, here, force] * self.force_noise()[1][:, None]
         response = parts.matrix[:, here, force]
         if self._settings.estimator == "H1":
-            noise, power = self.force_noise()
-            response = response / (1 - force_error(noise, power, self.n_hit, windowed=False))[:, None]
+            error = force_error(*self.force_noise(), self.n_hit, windowed=False)
+            response = response / (1 - error)[:, None]
         hits = self._from_triggers()
-        motion, of_hits = hits[:, :, np.array(outputs)[here]], hits[:, :, self.force]
-        hits[:, :, self.force] = windows.without_window_noise(motion, of_hits, response, weights, shapes)
+        rows = np.array(outputs)[here]
+        motion, of_hits = hits[:, :, rows], hits[:, :, self.force]
+        hits[:, :, rows], hits[:, :, self.force] = windows.without_window_noise(
+            motion, of_hits, response, noise, shapes
+        )
         other._sum = np.einsum("hla,hlb->lab", hits, hits.conj())
         return other
 

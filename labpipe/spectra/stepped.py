@@ -258,6 +258,8 @@ def steady_part(
 MOST_BLOCKS, LEAST_BLOCKS = 32, 4
 # Fewest samples of a block, so that three values are fitted to more.
 LEAST_SAMPLES = 8
+# Share of the dwells that may be left out since they are too short for the transient of all.
+MOST_SHORT = 0.5
 # Frequencies of two dwells are the same within this share of one over their length.
 SAME_LINE = 0.05
 # Share of the force's power that the sine explains in a dwell, and of the largest amplitude that it has.
@@ -302,7 +304,7 @@ def stepped_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout
     noise = np.stack([layout.pad(e, _noise(lines, half_width), 2) for e, lines in enumerate(columns)])
     inverse = force_inverse(mean[:, :n_input], layout)
     matrix = joined_response(mean, inverse, noise)
-    findings = [finding for _, finding in measured]
+    findings = [finding for _, of_source in measured for finding in of_source]
     if n_alone:
         what = f"{n_alone} dwell(s) are left out: not every recording has their frequency"
         findings.append(Finding("dwells-left-out", what))
@@ -340,7 +342,7 @@ def _noise(lines: Sequence[EvaluatedDwell], half_width: int) -> ComplexArray:
 
 def _lines(
     source: SampleSource, settings: FrfSettings, input_columns: Sequence[int], output_columns: Sequence[int]
-) -> tuple[list[EvaluatedDwell], Finding]:
+) -> tuple[list[EvaluatedDwell], list[Finding]]:
     samples = np.concatenate(list(checked_blocks(source)))
     rate = source.sample_rate
     force = loudest(samples, np.array([column for column in input_columns if column >= 0]))
@@ -356,7 +358,14 @@ def _lines(
     of_force = settling[0]
     with contextlib.suppress(DataError):
         of_force = min(settling[0], settle_times([DwellCourse(c.times, c.values[:, :1]) for c in courses])[0])
-    lines = [_line(source, samples, dwell, (*settling, of_force, settings.skip), shown) for dwell in dwells]
+    lines, short = [], []
+    for dwell in dwells:
+        try:
+            lines.append(_line(source, samples, dwell, (*settling, of_force, settings.skip), shown))
+        except DataError as error:
+            short.append(error)
+    if len(short) > MOST_SHORT * len(dwells):
+        raise short[0]
     groups: list[list[EvaluatedDwell]] = []
     for line in sorted(lines, key=lambda line: line.frequency):
         if groups and _same(groups[-1][0], line):
@@ -377,7 +386,11 @@ def _lines(
         f"{merged[0].frequency:.6g}-{merged[-1].frequency:.6g} Hz; {left_out}; "
         f"{100 * used:.0f} % of the record is used"
     )
-    return merged, note("dwells", message)
+    findings = [note("dwells", message)]
+    if short:
+        what = "; ".join(error.what for error in short)
+        findings.append(Finding("dwells-left-out", f"{len(short)} dwell(s) too short are left out: {what}"))
+    return merged, findings
 
 
 def _loud_sines(force: FloatArray, dwells: list[Dwell]) -> list[Dwell]:

@@ -22,7 +22,9 @@ FURTHEST_LINE = 20
 FAINT = 0.02
 # Errors of a force under its window beside the largest from which on they count, and twice the band times the
 # length of the window up to which they are told.
-LEAST_COURSE, MOST_COURSES = 0.03, 24
+LEAST_COURSE, MOST_COURSES = 0.03, 96
+# Looks at the noise of the responses beside that of the force.
+PASSES = 2
 # Windows whose parameters are numbers of samples.
 IN_SAMPLES = (
     "exponential",
@@ -221,16 +223,14 @@ def phase_factors(lines: IntArray, samples: IntArray, n_sample: int) -> ComplexA
     return np.exp(-2j * np.pi / n_sample * np.outer(lines, samples))
 
 
-def window_shapes(
-    window: FloatArray, trigger: int, lines: IntArray, most: int = MOST_COURSES
-) -> ComplexArray | None:
+def window_shapes(window: FloatArray, trigger: int, lines: IntArray) -> ComplexArray | None:
     """Amplitudes (n_line, n) [1] at *lines* of white noise under the *window* (n_sample,) of a hit, counted
     from its *trigger* and relative to the root of its power, by n independent real numbers of variance 1 that
-    hold nearly all of it; None where these are more than *most*.
+    hold nearly all of it; None where these are more than MOST_COURSES.
     """
     at = np.flatnonzero(window)
     # Twice the band times the length of the window.
-    if 2 * lines.size * at.size > most * window.size:
+    if 2 * lines.size * at.size > MOST_COURSES * window.size:
         return None
     shapes = phase_factors(lines, at - trigger, window.size) * (window[at] / np.linalg.norm(window))
     _, sizes, rows = np.linalg.svd(np.concatenate([shapes.real, shapes.imag]), full_matrices=False)
@@ -240,14 +240,32 @@ def window_shapes(
 
 
 def without_window_noise(
-    motion: ComplexArray, force: ComplexArray, gain: ComplexArray, weights: FloatArray, shapes: ComplexArray
-) -> ComplexArray:
-    """The *force* (n_hit, n_line) [N s per spacing] of hits less the sum of *shapes* (n_line, n) that best
-    explains what their *motion* (n_hit, n_line, n_output) is beside *gain* (n_line, n_output) times it, by
-    *weights* (n_line, n_output) that are one over its noise.
+    motion: ComplexArray, force: ComplexArray, gain: ComplexArray, noise: FloatArray, shapes: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """The *motion* (n_hit, n_line, n_output) and *force* (n_hit, n_line) [N s per spacing] of hits without
+    the noise of the force: *shapes* (n_line, n) by independent numbers of variance 1, whose most likely
+    values z explain what the motion is beside *gain* (n_line, n_output) times the force.
+
+    *noise* (n_line, n_output) [squared unit of the motion]: what a hit scatters by, that of the force with
+    it; the second of PASSES has it without. Of a residual r = D z + e with e of variance 1, D z takes the
+    share h = diag(D (1 + D^T D)^-1 D^T), most at a resonance: between hits what is left grows by
+    (1 - h)^-1/2, so that it scatters as e does. Equation (frf-force-alignment).
     """
-    left = (motion - gain * force[..., None]) * weights
-    columns = -(gain * weights)[:, :, None] * shapes[:, None, :]
-    rows = columns.reshape(-1, shapes.shape[1]), left.reshape(len(left), -1).T
-    design, right = (np.concatenate([of.real, of.imag]) for of in rows)
-    return np.asarray(force - (shapes @ np.linalg.lstsq(design, right, rcond=None)[0]).T)
+    left = motion - gain * force[..., None]
+    columns = -gain[:, :, None] * shapes[:, None, :]
+    for _ in range(PASSES):
+        weights = np.sqrt(2 / noise)[..., None]
+        rows = (
+            (columns * weights).reshape(-1, shapes.shape[1]),
+            (left * weights[..., 0]).reshape(len(left), -1).T,
+        )
+        design, right = (np.concatenate([of.real, of.imag]) for of in rows)
+        inverse = np.linalg.inv(np.eye(shapes.shape[1]) + design.T @ design)
+        amounts = inverse @ (design.T @ right)
+        kept = 1 - np.mean(np.sum(design @ inverse * design, axis=1).reshape(2, *gain.shape), axis=0)
+        rest = left - np.moveaxis(columns @ amounts, -1, 0)
+        noise = np.mean(np.abs(rest) ** 2, axis=0) / kept
+    force = force - (shapes @ amounts).T
+    power = np.sum(np.abs(force) ** 2, axis=0)[:, None]
+    mean = np.sum(motion * force[..., None].conj(), axis=0) / power * force[..., None]
+    return mean + (motion - mean) / np.sqrt(kept), force

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from labpipe.errors import FitError
 from labpipe.estimation.fitting import identify
+from labpipe.estimation.leakage import SharedNoise
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.weights import weight_uncertainty, weighted_by_model
@@ -141,3 +143,30 @@ def test_their_chi_square_scatters_as_said() -> None:
     found = weight_uncertainty(measured, 2400)
     low = [found.p_value(square / 2400 / found.excess, 2400) < 0.05 for square in squares]
     assert 0.02 < np.mean(low) < 0.085
+
+
+@pytest.mark.parametrize("n", [2, 5, 8])
+def test_weights_of_lines_that_share_noise_know_more_than_their_scatter_tells(n: int) -> None:
+    """The mean over eleven lines of covariances of seven degrees of freedom, whose noise has the correlation
+    .8^d: E tr(S^-1) / n of 3,000 draws.
+    """
+    rng, held, n_line, dof = np.random.default_rng(3), 0.8 ** np.arange(1, 40), 11, 7
+    correlation = linalg.toeplitz(np.concatenate([[1.0], held])[:n_line])
+    root = np.linalg.cholesky(correlation)
+    white = rng.normal(size=(2, 3000, dof, n_line, n)) / np.sqrt(2)
+    noise = root @ (white[0] + 1j * white[1])
+    covariance = np.einsum("dhlo,dhlp->dop", noise, noise.conj()) / (dof * n_line)
+    expected = np.trace(np.linalg.inv(covariance), axis1=1, axis2=2).real.mean() / n
+    numbers = np.arange(60)
+    lines = n_line / (1 + 2 * np.sum(held**2))
+    measured = Measured(
+        omega=1.0 + numbers,
+        matrix=np.ones((60, n, 1), complex),
+        covariance=np.tile(np.eye(n) + 0.5, (60, 1, 1)),
+        noise_dof=dof * lines,
+        noise_lines=lines,
+        outputs=(),
+        inputs=(),
+        noise=SharedNoise(numbers, held + 0j, np.ones((60, 1, n), complex)),
+    )
+    assert weight_uncertainty(measured, 60 * n).excess == pytest.approx(expected, rel=0.03)

@@ -369,6 +369,34 @@ def test_noise_of_the_hammer_does_not_make_h_low(rng: np.random.Generator) -> No
     assert np.mean(told) == pytest.approx(1 + 0.4 * np.mean(noise), abs=0.03)
 
 
+@pytest.mark.parametrize("window", [12e-3, 30e-3])
+def test_hits_without_noise_of_the_hammer_keep_that_of_the_response(
+    window: float, rng: np.random.Generator
+) -> None:
+    """Noise of the hammer of .05 % of its peak under a force window, and of the response as large as that at
+    300 Hz. White noise s of the response has |N|^2 = n s^2 in a block of n samples, so that H of hits F_h has
+    the variance n s^2 / sum |F_h|^2, at its resonance and where noise is most of the response alike.
+    """
+    quick, n_hit, n, sizes = -2 * np.pi * 1.2 + 2j * np.pi * 60.0, 10, round(2 * RATE), []
+    settings = FrfSettings(
+        excitation="impact", block=2.0, band=(5.0, 400.0), impact=ImpactSettings(force_window=window)
+    )
+    for _ in range(8):
+        starts, peaks = [200 + 2 * n * hit for hit in range(n_hit)], rng.uniform(0.7, 1.3, n_hit).tolist()
+        clean = hammered(rng, half_sine(2 * n * n_hit, starts, peaks), quick)
+        std = np.array([5e-4, 3e-3 * np.max(np.abs(clean.samples[:, 1]))])
+        noisy = clean.samples + std * rng.normal(size=clean.samples.shape)
+        response = measure([Recording(clean.channels, noisy, RATE, "taps")], settings)
+        lines = np.round(response.frequency * 2.0).astype(int)
+        force = np.abs(np.fft.rfft(half_sine(n, [200], [1.0])))[lines] ** 2 * np.sum(np.square(peaks))
+        assert len(response.errors) > 10
+        sizes.append(response.variance.ravel() / (n * std[1] ** 2 / force))
+    # Nine degrees of freedom, or more over neighbouring lines, at 40 lines and more of eight records: 2 %.
+    for low, high in ((5, 50), (50, 70), (70, 300), (300, 400)):
+        inside = (response.frequency >= low) & (response.frequency < high)
+        assert np.mean(np.array(sizes)[:, inside]) == pytest.approx(1, abs=0.08), (low, high)
+
+
 def one_hit(
     start: int, peak: float, second: float = 0.0, decay: float | None = None, channels=(HAMMER, X)
 ) -> Recording:

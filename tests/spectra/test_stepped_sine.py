@@ -269,6 +269,27 @@ def test_a_quiet_force_of_few_samples_per_period_keeps_its_dwells() -> None:
     np.testing.assert_allclose([1000 * dwell.frequency for dwell in dwells], steps, rtol=1e-4)
 
 
+def test_single_dwells_too_short_to_settle_are_left_out_and_named() -> None:
+    """Two dwells of three time constants among seventeen of twenty: the other lines have the receptance of
+    the closed form, of errors with the variance that is stated.
+    """
+    lengths = np.full(STEPS.size, 4.0)
+    lengths[[4, 12]] = 0.6
+    errors = []
+    for seed in range(6):
+        response = measure([record(seed, lengths=lengths)], STEPPED)
+        np.testing.assert_allclose(response.frequency, np.delete(STEPS, [4, 12]), rtol=3e-5)
+        off = response.matrix[:, 0, 0] - receptance(response.frequency)
+        errors.append(off / np.sqrt(response.variance[:, 0, 0]))
+        (message,) = (f.message for f in response.findings if f.code == "dwells-left-out")
+        assert message.startswith("2 dwell(s) too short are left out: the dwell of 'steps' at ")
+        places = [float(part.split(" Hz")[0]) for part in message.split(" at ")[1:]]
+        np.testing.assert_allclose(places, STEPS[[4, 12]], rtol=1e-3)
+        assert message.count("s are needed") == 2
+    # Of 102 lines: a tenth each.
+    assert np.mean(np.abs(errors) ** 2) == pytest.approx(1, abs=0.3)
+
+
 def test_one_long_dwell_does_not_make_the_transient_of_the_others_longer() -> None:
     """e^(-t / tau), tau = 1 / (zeta w_n) = .2 s, falls from the response, 1 % sqrt(2 / 2,000) of which is a
     standard error of a line, 3,000 of them, below a fifth of one within ln 15,000 = 9.6 tau. Among dwells of

@@ -26,9 +26,6 @@ SAME_FORCES, ACTS = 0.8, 0.1
 GROWN = 4.0
 # A first hit stands out of the noise before it by so many times its rms.
 FIRST_HIT = 20.0
-# Errors of a force under its window that are told: more than in a run, where each is a source of the budget
-# of every hit.
-MOST_SHAPES = 4 * windows.MOST_COURSES
 # Hits below this share of the usual one tell little.
 WEAK = 0.1
 
@@ -79,7 +76,7 @@ class _Cutter:
         """
         if self._window is None:
             return None
-        shapes = windows.window_shapes(*self._window, self._lines.start + lines, MOST_SHAPES)
+        shapes = windows.window_shapes(*self._window, self._lines.start + lines)
         return np.empty((lines.size, 0), np.complex128) if shapes is None else shapes
 
 

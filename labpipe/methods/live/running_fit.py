@@ -162,10 +162,12 @@ class HitSums:
             shapes, self._aligned = self._shapes(), self
             if shapes.shape[1]:
                 hits, h = np.array(self._hits), self._xf[:, 0] / self.force_power
-                weights = np.einsum("leoo->lo", self._covariance(h[:, None])).real ** -0.5
+                noise = np.einsum("leoo->lo", self._covariance(h[:, None])).real * self.force_power
                 low = impact.force_error(self._noise_power(), self.force_power[:, 0], self.n, windowed=False)
-                force, of = hits[:, :, 0, -1], (h / (1 - low)[:, None], weights, shapes)
-                hits[:, :, 0, -1] = windows.without_window_noise(hits[:, :, 0, :-1], force, *of)
+                force, of = hits[:, :, 0, -1], (h / (1 - low)[:, None], noise, shapes)
+                hits[:, :, 0, :-1], hits[:, :, 0, -1] = windows.without_window_noise(
+                    hits[:, :, 0, :-1], force, *of
+                )
                 self._aligned = HitSums()
                 for hit in hits:
                     self._aligned.add(hit)
@@ -191,8 +193,6 @@ class HitSums:
         """
         sums = self._without_window_noise()
         h = sums._covariance(sums._xf / sums.force_power[..., None]) * self._factor[:, None, None, None] ** 2
-        # A hit's residual has lost one of its numbers for each shape.
-        h = h / (1 - self._shapes().shape[1] / (2 * self._xf.size))
         return np.pad(h, [(0, 0), (0, 0), (0, 1), (0, 1)])
 
     def _covariance(self, h: ComplexArray) -> ComplexArray:
