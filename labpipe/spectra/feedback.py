@@ -227,8 +227,8 @@ def _chance_of_lags(
 ) -> float:
     """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree* and
     the lags of a response *at_once*, j w in the band: what is in quadrature at its upper edge, as the
-    accelerance of a plate where it is struck (the mobility of an infinite one is real, 1 / (8 sqrt(B m)): Cremer,
-    Heckl, Structure-Borne Sound, 1988), reaches before the force once the band is cut there.
+    accelerance of a plate where it is struck, reaches before the force once the band is cut there. The
+    mobility of an infinite plate is real, 1 / (8 sqrt(B m)) (Cremer and Heckl, Structure-Borne Sound, 1988).
     """
     before = np.array(LAGS)
     lags = lags[LAGS.start :]

@@ -17,8 +17,8 @@ from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import FrfLines, Refined, pole_functions, remaining
-from labpipe.methods.modal.poles import Completed, refine_with_terms, whiteness
+from labpipe.methods.modal.likelihood import FrfLines, Refined, pole_functions, remaining, whiteness
+from labpipe.methods.modal.poles import Completed, refine_with_terms
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.

@@ -185,6 +185,24 @@ def test_modes_near_the_band_are_residual_terms() -> None:
     assert fit.detail(Modes).frequency.size == 2
 
 
+@pytest.mark.parametrize(
+    ("band", "inside", "beside"),
+    [((70.0, 117.2), {78.0: 0.006, 95.0: 0.003}, "118 Hz"), ((78.4, 110.0), {95.0: 0.003}, "78 Hz")],
+)
+def test_a_mode_just_beyond_the_band_is_no_mode_of_it_and_no_mismatch(
+    band: tuple[float, float], inside: dict[float, float], beside: str
+) -> None:
+    """0.4 half-power widths beyond either edge of the band: the flank of its peak is no power of s."""
+    structure = nine_modes(10, 1501)
+    fit = modal(response_of(structure, structure.noisy(0.01, 8)), band=band)
+    assert [finding.code for finding in fit.findings if finding.code == "model-mismatch"] == []
+    assert fit.detail(Modes) is not None and fit.detail(Modes).frequency.size == len(inside)
+    for number, (frequency, damping) in enumerate(inside.items(), 1):
+        assert within(fit, f"f_n_{number}", frequency) and within(fit, f"zeta_{number}", damping)
+        assert fit.parameter(f"f_n_{number}").std_error < 1e-5 * frequency
+    assert any(f"the mode at {beside}, beyond the band" in note for note in fit.notes)
+
+
 @pytest.mark.parametrize("named", [(), (162.0,)])
 def test_a_mode_below_the_noise_of_single_lines_is_found_by_means_of_lines(named: tuple[float, ...]) -> None:
     """162 Hz, 1.2 %, at eight points, noise of 0.6 of the peak on each of 561 lines: the closed form's mode
