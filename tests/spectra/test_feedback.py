@@ -164,7 +164,7 @@ def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float |
 
 @pytest.mark.parametrize("hits", [False, True])
 def test_an_accelerance_where_a_plate_is_driven_is_no_feedback(hits: bool) -> None:
-    """Simply supported, the sum over its modes up to 20 kHz in closed form: its mobility is real in the mean, so
+    """Simply supported, the sum over modes up to 20 kHz in closed form: its mobility is real in the mean, so
     that the accelerance is in quadrature where the band ends.
     """
     rng, n, rate = np.random.default_rng(3), 60_000, 2048.0

@@ -254,6 +254,14 @@ def _squares(left: ComplexArray) -> FloatArray:
     return np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny)
 
 
+def _excess(left: ComplexArray) -> float:
+    """Squares of what is left (n_line, n) over those of noise, by its differences from line to line: of a peak a
+    few lines wide the differences of neighbours are no noise.
+    """
+    noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
+    return float(np.mean(_squares(left) / noise) * (1 - 2 / len(left)))
+
+
 def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexArray:
     """The poles (n_pole,) [rad/s] common to *frfs* (n_line, n) of least 2 n_line mean ln(squares)."""
     unit = float(np.median(-start.real))
@@ -292,18 +300,31 @@ def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> M
     """
     n_line, n_point, n_reference = frfs.shape
     moved, squares = _fit_by_points(s, frfs, chain)
+    sizes = np.linalg.svd(moved.residues, compute_uv=False)
+    if sizes[0] ** 2 < LIKE * np.sum(sizes**2):
+        # What moves acts on the references in one proportion at all points; modes on one place do not.
+        return None
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
+
+    def compare(poles: ComplexArray) -> tuple[float, ComplexArray, ComplexArray]:
+        """BIC of one mode less that of common *poles*, their residues, and what they leave."""
+        amounts, left = _solve(s, flat, poles)
+        difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
+        more = 2 * (1 - poles.size) * n_entry + 2 * (n_point - poles.size)
+        return float(difference + np.log(2 * n_line * n_entry) * more), amounts, left
+
+    if chain.size > 2:
+        # Three modes and more in a cluster: no two poles are these.
+        difference, _, left = compare(_best(s, flat, chain))
+        if difference >= 0 and _excess(left) < AS_NOISE:
+            return None
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
-    amounts, left = _solve(s, flat, pair)
-    difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
-    difference += np.log(2 * n_line * n_entry) * (6 * n_entry + 2 * n_point - 8 * n_entry - 4)
+    difference, amounts, left = compare(pair)
     width = -2 * moved.pole.real
     out = (pair.imag < chain.imag.min() - width) | (pair.imag > chain.imag.max() + width)
     if difference < 0 or np.any(out | (-2 * pair.real > BROADER * width)):
         return moved
-    # Of what is left: of a peak a few lines wide the differences of neighbours are no noise.
-    noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
-    if np.mean(_squares(left) / noise) * (1 - 2 / n_line) < AS_NOISE:
+    if _excess(left) < AS_NOISE:
         # Two poles that are the same at all points leave noise: that is a pair.
         return None
     if n_reference == 1:
