@@ -429,7 +429,7 @@ def test_a_roving_hammer_gives_one_row_and_a_bad_hit_there_is_no_column_of_zeros
 
 
 def test_a_point_with_a_single_hit_has_the_noise_that_the_others_show(rng: np.random.Generator) -> None:
-    """Under hits whose noise grows with the response, here what rings on; one hit tells of no scatter, and its
+    """Noise of hits that grows with the response, here what rings on: one hit tells of no scatter, and its
     variance is four times that of four hits.
     """
     roving = []

@@ -255,8 +255,8 @@ def _squares(left: ComplexArray) -> FloatArray:
 
 
 def _excess(left: ComplexArray) -> float:
-    """Squares of what is left (n_line, n) over those of noise, by its differences from line to line: of a peak a
-    few lines wide the differences of neighbours are no noise.
+    """Squares of what is *left* (n_line, n) over those of noise, by its differences from line to line: of a
+    peak a few lines wide the differences of neighbours are no noise.
     """
     noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
     return float(np.mean(_squares(left) / noise) * (1 - 2 / len(left)))
@@ -294,17 +294,30 @@ def _fit_by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> 
     return mode, np.array([_squares(left) for _, left in solved])
 
 
+def _squares_in_proportion(s: ComplexArray, frfs: ComplexArray, mode: MovedMode) -> FloatArray:
+    """Squares (n_point, n_reference) of what the poles of all points leave with residues in proportion to the
+    *mode's* participation.
+    """
+    squares, participation = [], mode.reference
+    for point, pole in enumerate(mode.poles):
+        _, left = _solve(s, np.column_stack([1 / (s - pole), frfs[:, point]]), np.empty(0))
+        along = left[:, 0].conj() @ left[:, 1:] / np.sum(np.abs(left[:, 0]) ** 2)
+        residues = (along @ participation.conj()) * participation
+        squares.append(_squares(left[:, 1:] - np.outer(left[:, 0], residues)))
+    return np.array(squares)
+
+
 def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
     """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
     where it is two.
     """
     n_line, n_point, n_reference = frfs.shape
     moved, squares = _fit_by_points(s, frfs, chain)
-    sizes = np.linalg.svd(moved.residues, compute_uv=False)
-    if sizes[0] ** 2 < LIKE * np.sum(sizes**2):
-        # What moves acts on the references in one proportion at all points; modes on one place do not.
-        return None
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
+    # What moves acts on the references in one proportion at all points, modes on one place do not.
+    apart = 2 * n_line * float(np.sum(np.log(_squares_in_proportion(s, frfs, moved)) - np.log(squares)))
+    if apart > np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1):
+        return None
 
     def compare(poles: ComplexArray) -> tuple[float, ComplexArray, ComplexArray]:
         """BIC of one mode less that of common *poles*, their residues, and what they leave."""
