@@ -300,7 +300,7 @@ def _squares_in_proportion(s: ComplexArray, frfs: ComplexArray, mode: MovedMode)
     """
     squares, participation = [], mode.reference
     for point, pole in enumerate(mode.poles):
-        _, left = _solve(s, np.column_stack([1 / (s - pole), frfs[:, point]]), np.empty(0))
+        _, left = _solve(s, np.column_stack([1 / (s - pole), frfs[:, point]]), np.empty(0, np.complex128))
         along = left[:, 0].conj() @ left[:, 1:] / np.sum(np.abs(left[:, 0]) ** 2)
         residues = (along @ participation.conj()) * participation
         squares.append(_squares(left[:, 1:] - np.outer(left[:, 0], residues)))
