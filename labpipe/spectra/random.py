@@ -414,7 +414,8 @@ def parts_of_single_forces(
     if averages > n_input + 1:
         noise = without_rounding(by_force - np.einsum("loi,lpi,li->liop", s_yu, s_yu.conj(), 1 / power))
         freedoms = _freedoms(spectra, layout)
-        if apart or (shared and _grows_with_response(noise, response, freedoms / shared)):
+        alone = np.all(freedoms > 0) and shared and _grows_with_response(noise, response, freedoms / shared)
+        if apart or alone:
             around = [lines_around(freedom, shared, len(response)) for freedom in freedoms]
             columns = zip(noise.swapaxes(0, 1), response.transpose(2, 0, 1)[..., None], around, strict=True)
             noise = np.stack([pooled_residual(of, column, width) for of, column, (width, _) in columns], 1)

@@ -162,6 +162,29 @@ def test_a_structure_that_answers_at_once_is_no_feedback(kind: str, cut: float |
         assert chance_of_order(force[:, None], (response + noise)[:, None]) > LEVEL
 
 
+@pytest.mark.parametrize("hits", [False, True])
+def test_an_accelerance_where_a_plate_is_driven_is_no_feedback(hits: bool) -> None:
+    """Simply supported, the sum over modes up to 20 kHz in closed form: its mobility is real in the mean, so
+    that the accelerance is in quadrature where the band ends.
+    """
+    rng, n, rate = np.random.default_rng(3), 60_000, 2048.0
+    of_x, of_y = (part.ravel() for part in np.meshgrid(np.arange(1, 45), np.arange(1, 45)))
+    natural = 2 * np.pi * 14.0 * (of_x**2 + 1.1 * of_y**2)
+    shape = (np.sin(0.37 * np.pi * of_x) * np.sin(0.21 * np.pi * of_y))[natural < 4e4 * np.pi]
+    natural = natural[natural < 4e4 * np.pi]
+    w = 2 * np.pi * np.fft.rfftfreq(n, 1 / rate)
+    accelerance = sum(
+        -(w**2) * a**2 / (w_n**2 - w**2 + 0.02j * w_n * w) for a, w_n in zip(shape, natural, strict=True)
+    )
+    force = rng.normal(size=n)
+    if hits:
+        force *= np.arange(n) % 4001 < 3
+    force = signal.sosfilt(signal.butter(8, 800.0, fs=rate, output="sos"), force)
+    motion_there = np.fft.irfft(np.fft.rfft(force) * accelerance, n)
+    motion_there += 1e-3 * motion_there.std() * rng.normal(size=n)
+    assert chance_of_order(force[:, None], motion_there[:, None]) > LEVEL
+
+
 @pytest.mark.long
 def test_of_a_rotor_left_alone_the_values_are_no_support() -> None:
     """Without injection H is minus the inverse of the controller, which is causal: no loop shows, but

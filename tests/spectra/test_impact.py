@@ -456,6 +456,24 @@ def test_a_roving_hammer_gives_one_row_and_a_bad_hit_there_is_no_column_of_zeros
     np.testing.assert_allclose(response.matrix[:, 0, 1], truth(response.frequency), rtol=1e-3)
 
 
+def test_a_point_with_a_single_hit_has_the_noise_that_the_others_show(rng: np.random.Generator) -> None:
+    """Noise of hits that grows with the response, here what rings on: one hit tells of no scatter, and its
+    variance is four times that of four hits.
+    """
+    roving = []
+    for point, n_hit in enumerate((4, 4, 4, 1)):
+        peaks = (1 + 0.3 * rng.normal(size=n_hit)).tolist()
+        starts = [300 + 2500 * k + int(rng.integers(300)) for k in range(n_hit)]
+        force = half_sine(2500 * n_hit + N, starts, peaks)
+        hammer = replace(HAMMER, dof=f"{point}.x")
+        roving.append(replace(hammered(rng, force, noise=1e-4, channels=(hammer, X)), name=f"{point}"))
+    response = measure(roving, FrfSettings(excitation="impact", block=1.0, band=(10.0, 150.0)))
+    variance = response.variance
+    assert variance is not None and np.all(np.isfinite(variance)) and np.all(variance > 0)
+    relative = np.median(variance[:, 0] / np.abs(response.matrix[:, 0]) ** 2, axis=0)
+    assert 2 < relative[3] / np.mean(relative[:3]) < 8
+
+
 def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
     """The sensor at three places in three files: receptances g H with g = 1, -0.5, 2."""
     sources = []

@@ -183,10 +183,12 @@ def modal_notes(
     )
     chosen = "by AIC" if terms.lines.adds_terms else "as `residuals` asks"
     added = f"{whole.added} mode(s) were added that the diagram did not show"
+    beside = " and ".join(f"the mode at {abs(pole) / (2 * np.pi):.4g} Hz" for pole in terms.lines.beside)
     notes = (
         (True, f"residual terms of every FRF: {residual}, {chosen}"),
         (estimate.unused, f"the measured covariance is not used: {estimate.unused}"),
         (estimate.chi2_reduced is None, without_test),
+        (beside, f"{beside}, beyond the band, has a residual term of its own: its flank reaches into it"),
         (whole.added, f"{added}, since the residual was not noise, or terms stood for them"),
         (n_reference == 1, SINGLE),
         (forces_move, TURNED),
@@ -261,6 +263,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     # need.
     correlation = response.line_correlation
     whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
+    sides = replace(sides, lines=whole.terms.lines)
     sides, whole, moved, loaded = _move_to_mean_poles(sides, whole, correlation, modal)
     if real := modal.shapes == "real":
         whole = lscf.with_real_modes(whole, correlation)

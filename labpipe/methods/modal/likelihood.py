@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
+from labpipe.distributions import chi2_tail
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.residual import jackknife_residual
 
@@ -37,7 +38,8 @@ class FrfLines:
     lines are weighted with it. hysteretic: whether modes are damped by a loss factor, else viscously.
     leakage: of random data, where it is known. shared: variance of a sum over the lines over that of
     independent ones [1]. adds_terms: whether more residual terms than one for modes below and one for
-    modes above are tried.
+    modes above are tried. beside (n,) [rad/s]: poles of modes just beyond the band, whose residues every
+    element has for itself.
     """
 
     omega: FloatArray
@@ -48,6 +50,7 @@ class FrfLines:
     leakage: Leakage | None = None
     shared: float = 1.0
     adds_terms: bool = True
+    beside: tuple[complex, ...] = ()
 
     @property
     def s(self) -> ComplexArray:
@@ -69,7 +72,7 @@ class ResidualTerms:
     """Smooth terms and the FRFs that they are taken out of, both times the weight of the *lines*:
 
     *lower* terms s^-2, s^-4 ... (modes below the band) and *upper* terms 1, s^2, s^4 ... (above), times
-    s^power.
+    s^power; 1 / (s - lambda) of the poles *beside* the band and its slope, for what these are off by.
 
     Orthonormal one after the other, each the one before times omega^2 or omega^-2 (Arnoldi; Brubeck,
     Nakatsukasa and Trefethen 2021): as powers they are so alike in a narrow band that rounding chooses among
@@ -82,7 +85,7 @@ class ResidualTerms:
 
     @property
     def count(self) -> int:
-        return self.lower + self.upper
+        return self.lower + self.upper + 2 * len(self.lines.beside)
 
     @cached_property
     def basis(self) -> ComplexArray:
@@ -91,8 +94,14 @@ class ResidualTerms:
         middle, half = (square[-1] + square[0]) / 2, max((square[-1] - square[0]) / 2, np.finfo(float).tiny)
         column = (1j * omega / omega[-1]) ** self.lines.power * self.lines.weight
         basis = column[:, None] / np.linalg.norm(column)
-        for factor in [(square - middle) / half] * (self.upper - 1) + [square[0] / square] * self.lower:
-            column = factor * basis[:, -1]
+        # Each the one before times a factor, or what stands for itself.
+        following = [(square - middle) / half] * (self.upper - 1) + [square[0] / square] * self.lower
+        alone: list[ComplexArray] = []
+        if self.lines.beside:
+            (of_poles, _), (slopes, _) = self.lines.functions(np.array(self.lines.beside))
+            alone = list((column[:, None] * np.hstack([of_poles, slopes])).T)
+        for number, factor in enumerate([*following, *alone]):
+            column = factor * basis[:, -1] if number < len(following) else factor
             for _ in range(2):
                 column = column - basis @ (basis.conj().T @ column)
             basis = np.column_stack([basis, column / np.linalg.norm(column)])
@@ -338,6 +347,43 @@ def remaining(terms: ResidualTerms, refined: Refined) -> ComplexArray:
     pairs = terms.remove_from(_functions(terms.lines, refined.poles))[:, : 2 * refined.poles.size]
     coefficients = _coefficients(refined.participation, refined.shapes)
     return terms.remainder - np.einsum("lf,oif->loi", pairs, coefficients)
+
+
+LAGS = 8
+# Lines whose residuals give the noise of the one in their middle.
+AROUND = 31
+
+
+def whiteness(residual: ComplexArray, correlation: tuple[complex, ...]) -> float:
+    """Probability [1] of so much likeness of neighbouring lines in noise: the least p-value of the elements,
+    times their number. *correlation* (n,) [1]: of the noise with the next lines, which a window gives it.
+
+    residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
+    the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
+    freedom (portmanteau test of Box and Pierce 1970, complex form). Equation (modal-whiteness).
+    """
+    n_line = residual.shape[0]
+    flat = _even(residual.reshape(n_line, -1))
+    power = np.sum(np.abs(flat) ** 2, axis=0)
+    lags = range(1, min(LAGS, n_line - 1) + 1)
+    expected = [*correlation, *([0.0] * LAGS)]
+    likeness = [np.sum(flat[d:] * flat[:-d].conj(), axis=0) / power - expected[d - 1] for d in lags]
+    statistic = 2 * n_line / shared_power(correlation) * np.sum(np.abs(likeness) ** 2, axis=0)
+    least = chi2_tail(float(np.max(statistic)), 2 * len(lags))
+    return min(1.0, least * statistic.size)
+
+
+def shared_power(correlation: tuple[complex, ...]) -> float:
+    """1 + 2 sum |rho_d|^2 [1] of noise that lines share, *correlation* rho_d (n,) [1]."""
+    return 1.0 + 2 * sum(abs(value) ** 2 for value in correlation)
+
+
+def _even(flat: ComplexArray) -> ComplexArray:
+    kernel = np.ones(min(AROUND, flat.shape[0]))
+    counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
+    sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
+    around = np.stack(sums, axis=1) / counts[:, None]
+    return flat / np.sqrt(np.maximum(around, np.finfo(float).tiny))
 
 
 def refine_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:

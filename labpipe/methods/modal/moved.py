@@ -18,8 +18,15 @@ from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import FrfLines, Refined, leaking_functions, pole_functions, remaining
-from labpipe.methods.modal.poles import Completed, complete, kept_modes, refine_with_terms, whiteness
+from labpipe.methods.modal.likelihood import (
+    FrfLines,
+    Refined,
+    leaking_functions,
+    pole_functions,
+    remaining,
+    whiteness,
+)
+from labpipe.methods.modal.poles import Completed, complete, kept_modes, refine_with_terms
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -360,6 +367,14 @@ def _squares(left: ComplexArray) -> FloatArray:
     return np.maximum(np.sum(np.abs(left) ** 2, axis=0), np.finfo(float).tiny)
 
 
+def _excess(left: ComplexArray) -> float:
+    """Squares of what is *left* (n_line, n) over those of noise, by its differences from line to line: of a
+    peak a few lines wide the differences of neighbours are no noise.
+    """
+    noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
+    return float(np.mean(_squares(left) / noise) * (1 - 2 / len(left)))
+
+
 def _best(s: ComplexArray, frfs: ComplexArray, start: ComplexArray) -> ComplexArray:
     """The poles (n_pole,) [rad/s] common to *frfs* (n_line, n) of least 2 n_line mean ln(squares)."""
     unit = float(np.median(-start.real))
@@ -392,6 +407,19 @@ def _fit_by_points(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> 
     return mode, np.array([_squares(left) for _, left in solved])
 
 
+def _squares_in_proportion(s: ComplexArray, frfs: ComplexArray, mode: MovedMode) -> FloatArray:
+    """Squares (n_point, n_reference) of what the poles of all points leave with residues in proportion to the
+    *mode's* participation.
+    """
+    squares, participation = [], mode.reference
+    for point, pole in enumerate(mode.poles):
+        _, left = _solve(s, np.column_stack([1 / (s - pole), frfs[:, point]]), np.empty(0, np.complex128))
+        along = left[:, 0].conj() @ left[:, 1:] / np.sum(np.abs(left[:, 0]) ** 2)
+        residues = (along @ participation.conj()) * participation
+        squares.append(_squares(left[:, 1:] - np.outer(left[:, 0], residues)))
+    return np.array(squares)
+
+
 def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
     """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
     where it is two.
@@ -399,17 +427,30 @@ def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> M
     n_line, n_point, n_reference = frfs.shape
     moved, squares = _fit_by_points(s, frfs, chain)
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
+    # What moves acts on the references in one proportion at all points, modes on one place do not.
+    apart = 2 * n_line * float(np.sum(np.log(_squares_in_proportion(s, frfs, moved)) - np.log(squares)))
+    if apart > np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1):
+        return None
+
+    def compare(poles: ComplexArray) -> tuple[float, ComplexArray, ComplexArray]:
+        """BIC of one mode less that of common *poles*, their residues, and what they leave."""
+        amounts, left = _solve(s, flat, poles)
+        difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
+        more = 2 * (1 - poles.size) * n_entry + 2 * (n_point - poles.size)
+        return float(difference + np.log(2 * n_line * n_entry) * more), amounts, left
+
+    if chain.size > 2:
+        # Three modes and more in a cluster: no two poles are these.
+        difference, _, left = compare(_best(s, flat, chain))
+        if difference >= 0 and _excess(left) < AS_NOISE:
+            return None
     pair = _best(s, flat, chain[np.argsort(chain.imag)[[0, -1]]])
-    amounts, left = _solve(s, flat, pair)
-    difference = 2 * n_line * (np.sum(np.log(squares)) - np.sum(np.log(_squares(left))))
-    difference += np.log(2 * n_line * n_entry) * (6 * n_entry + 2 * n_point - 8 * n_entry - 4)
+    difference, amounts, left = compare(pair)
     width = -2 * moved.pole.real
     out = (pair.imag < chain.imag.min() - width) | (pair.imag > chain.imag.max() + width)
     if difference < 0 or np.any(out | (-2 * pair.real > BROADER * width)):
         return moved
-    # Of what is left: of a peak a few lines wide the differences of neighbours are no noise.
-    noise = np.sum(np.abs(np.diff(left, 2, axis=0)) ** 2, axis=0) / 6
-    if np.mean(_squares(left) / noise) * (1 - 2 / n_line) < AS_NOISE:
+    if _excess(left) < AS_NOISE:
         # Two poles that are the same at all points leave noise: that is a pair.
         return None
     if n_reference == 1:

@@ -18,7 +18,15 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, modal_
 from labpipe.distributions import chi2_tail
 from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine, refine_lines, remaining
+from labpipe.methods.modal.likelihood import (
+    FrfLines,
+    Refined,
+    ResidualTerms,
+    refine,
+    refine_lines,
+    remaining,
+    whiteness,
+)
 from labpipe.records.finding import NORMAL
 
 # Position of the highest line in the period of z: below 1, so that the conjugate images of the band stay
@@ -316,43 +324,6 @@ def _median(values: ComplexArray) -> complex:
     return complex(np.median(values.real), np.median(values.imag))
 
 
-LAGS = 8
-# Lines whose residuals give the noise of the one in their middle.
-AROUND = 31
-
-
-def whiteness(residual: ComplexArray, correlation: tuple[complex, ...]) -> float:
-    """Probability [1] of so much likeness of neighbouring lines in noise: the least p-value of the elements,
-    times their number. *correlation* (n,) [1]: of the noise with the next lines, which a window gives it.
-
-    residual (n_line, n_output, n_input): r_d = sum e_k+d conj(e_k) / sum |e|^2 of circular white noise has
-    the variance 1 / n_line, so that 2 n_line sum |r_d|^2 over d = 1 ... 8 is chi-square with 16 degrees of
-    freedom (portmanteau test of Box and Pierce 1970, complex form). Equation (modal-whiteness).
-    """
-    n_line = residual.shape[0]
-    flat = _even(residual.reshape(n_line, -1))
-    power = np.sum(np.abs(flat) ** 2, axis=0)
-    lags = range(1, min(LAGS, n_line - 1) + 1)
-    expected = [*correlation, *([0.0] * LAGS)]
-    likeness = [np.sum(flat[d:] * flat[:-d].conj(), axis=0) / power - expected[d - 1] for d in lags]
-    statistic = 2 * n_line / shared_power(correlation) * np.sum(np.abs(likeness) ** 2, axis=0)
-    least = chi2_tail(float(np.max(statistic)), 2 * len(lags))
-    return min(1.0, least * statistic.size)
-
-
-def shared_power(correlation: tuple[complex, ...]) -> float:
-    """1 + 2 sum |rho_d|^2 [1] of noise that lines share, *correlation* rho_d (n,) [1]."""
-    return 1.0 + 2 * sum(abs(value) ** 2 for value in correlation)
-
-
-def _even(flat: ComplexArray) -> ComplexArray:
-    kernel = np.ones(min(AROUND, flat.shape[0]))
-    counts = np.convolve(np.ones(flat.shape[0]), kernel, mode="same")
-    sums = [np.convolve(column, kernel, mode="same") for column in (np.abs(flat) ** 2).T]
-    around = np.stack(sums, axis=1) / counts[:, None]
-    return flat / np.sqrt(np.maximum(around, np.finfo(float).tiny))
-
-
 # Number of residual terms by the information criterion, grown one term at a time from the refined modes.
 
 MOST_LOWER, MOST_UPPER = 3, 8
@@ -399,6 +370,8 @@ def criterion(refined: Refined, terms: ResidualTerms) -> float:
 
 
 MOST_ADDED = 4
+# Modes beyond the edges of the band that are looked for.
+MOST_BESIDE = 3
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
 # Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
@@ -513,7 +486,42 @@ def complete(
         if not supported:
             break
         done = min(supported, key=lambda more: criterion(more.refined, more.terms))
+    if adding and done.p_noise < MISMATCH_P:
+        done = _with_modes_beside(first, correlation)
     return done if done.p_noise >= MISMATCH_P else first
+
+
+def _with_modes_beside(first: Completed, correlation: tuple[complex, ...]) -> Completed:
+    """The modes beside those just beyond the band that leave a peak's flank in it, which no power of s
+    follows: their poles are refined with all others, and are residual terms then.
+    """
+    done = first
+    for _ in range(MOST_BESIDE):
+        if done.p_noise >= MISMATCH_P:
+            break
+        lines, refined = done.terms.lines, done.refined
+        decay, residual = float(np.median(-refined.poles.real)), remaining(done.terms, refined)
+        tried = []
+        for end, side in ((0, -1), (-1, 1)):
+            edge = residual[:: side * -1][: max(3, round(2 * decay / lines.spacing))] / np.sqrt(refined.noise)
+            participation = np.linalg.svd(edge.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
+            pole = -decay + 1j * (lines.omega[end] + side * decay)
+            terms = ResidualTerms(lines, 1, 1)
+            both = np.append(refined.poles, pole), np.vstack([refined.participation, participation])
+            again = refine(terms, *both)
+            frequency = np.abs(again.poles)
+            beyond = side * (frequency[-1] - lines.omega[end]) > 0
+            if not (again.converged and beyond and np.all(_standing(lines, again)[0][:-1])):
+                continue
+            others = replace(lines, beside=(*lines.beside, complex(again.poles[-1])))
+            more, terms = refine_with_terms(others, again.poles[:-1], again.participation[:-1])
+            if more.converged and criterion(more, terms) < criterion(refined, done.terms) - SUPPORT:
+                p_noise = whiteness(remaining(terms, more), correlation)
+                tried.append(replace(done, refined=more, terms=terms, p_noise=p_noise))
+        if not tried:
+            break
+        done = min(tried, key=lambda more: criterion(more.refined, more.terms))
+    return done
 
 
 def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:

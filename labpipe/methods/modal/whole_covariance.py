@@ -265,9 +265,10 @@ def covariance_fit(
     model = ModalReceptance.of(terms, refined, measured, real=real)
     start = model.join(refined, measured)
     dof = measured.n_equation - model.n_parameter
-    if not has_noise(measured) and refined.converged:
-        refined = refine_lines(terms, refined, real=real)
     if not has_noise(measured) or model.n_parameter**2 * measured.n_equation > MOST_PRODUCTS:
+        # The scatter of every line by itself holds what its elements share, and noise that grows with H.
+        if refined.converged:
+            refined = refine_lines(terms, refined, real=real)
         return ModalEstimate(refined, model.receptance(start, measured.omega), dof)
     try:
         weights, uncertainty = whitener(regular(measured)), weight_uncertainty(measured, dof)

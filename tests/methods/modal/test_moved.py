@@ -217,3 +217,32 @@ def test_references_of_other_frequencies_split_no_mode() -> None:
         # Two of three lie .033 % below the mean, one .067 % above it.
         assert low < f_n < 1.001 * f_n < high and high - low < 0.0015 * f_n
     assert not fitted(response).findings
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_modes_of_a_plate_that_overlap_are_no_single_mode_that_moves(seed: int) -> None:
+    """Simply supported and nearly square, sin(m pi x) sin(n pi y): four modes within three half-power widths,
+    at 16 points under two forces close to each other.
+    """
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0.05, 0.95, (2, 16))
+    x[1], y[1] = x[0] + 0.05, y[0] + 0.03
+    lines, natural = np.arange(350.0, 660.0, 0.25), np.array([512.56, 514.90, 530.27, 538.29])
+    w, w_n, zeta = 2 * np.pi * lines[:, None], 2 * np.pi * natural, np.array([1.41, 1.36, 0.95, 1.04]) / 100
+    numbers = ((3, 4), (4, 3), (1, 5), (5, 1))
+    shapes = np.array([np.sin(np.pi * m * x) * np.sin(np.pi * n * y) for m, n in numbers]).T
+    modal = -(w**2) / (w_n**2 - w**2 + 2j * zeta * w_n * w)
+    matrix = np.einsum("lr,or,ir->loi", modal, shapes, shapes[:2])
+    noise = rng.normal(size=(2, *matrix.shape)) * 1e-3 * np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0))
+    outputs, inputs = (
+        tuple(Port(f"{side}{n}", f"{side}{n}", f"p{n}") for n in range(count))
+        for side, count in (("a", 16), ("f", 2))
+    )
+    measured = matrix + noise[0] + 1j * noise[1]
+    response = FrequencyResponse(lines, measured, outputs, inputs, form="accelerance", name="plate")
+    (fit,) = identify(response, FitSettings("modal"))
+    assert [finding.code for finding in fit.findings if finding.code == "moved-mode"] == []
+    assert sum(parameter.name.startswith("f_n_") for parameter in fit.parameters) == natural.size
+    for number, truth in enumerate(natural, 1):
+        low, high = fit.parameter(f"f_n_{number}").ci95 or (0.0, 0.0)
+        assert truth - 2 * (high - low) < (low + high) / 2 < truth + 2 * (high - low)

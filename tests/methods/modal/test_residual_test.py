@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.modal.poles import shared_power
+from labpipe.methods.modal.likelihood import shared_power
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.recording import Channel, Recording
 from labpipe.spectra.measurement import measure
