@@ -33,7 +33,7 @@ LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = (
     "collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift",
-    "unstable-loop", "feedback",
+    "wrong-quantity", "unstable-loop", "feedback",
 )  # fmt: skip
 
 
