@@ -228,6 +228,11 @@ class Difference:
     def differs(self) -> bool:
         return self.p_value is not None and self.p_value < LEVEL
 
+    @property
+    def is_same(self) -> bool:
+        """Whether the two agree; without a standard error only if they are equal."""
+        return self.first == self.second if self.p_value is None else not self.differs
+
 
 def differences(first: Iterable[ListedParameter], second: Iterable[ListedParameter]) -> list[Difference]:
     """The parameters common to two results, in the order of the first one; DataError when there is none.

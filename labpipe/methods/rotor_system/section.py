@@ -18,7 +18,7 @@ from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_leve
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
 from labpipe.registry import nearest
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack, upright
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, look, stack, upright
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
 NAME = "rotor_system"
@@ -299,7 +299,7 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     def modes(values: FloatArray, errors: FloatArray) -> list[Series]:
         low, high = values - NORMAL * errors, values + NORMAL * errors
         bands = [(low[:, n], high[:, n]) for n in range(values.shape[1])]
-        return [curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=bands[n]) for n in shown]
+        return [curve(f"mode {n + 1}", speed, values[:, n], *look(n), band=bands[n]) for n in shown]
 
     frequencies = modes(diagram.frequency, diagram.frequency_error)
     frequencies.append(curve("1x", speed, diagram.speed, -1, "--"))
