@@ -329,7 +329,10 @@ def sign_findings(measured: Measured) -> list[Finding]:
             if (output.dof, output.angle) == (force.dof, force.angle) and share < FED_BACK:
                 turned.append(f"{output.label}/{force.label}")
     what = f"{', '.join(turned)} at its driving point feeds power back, which no structure does"
-    cure = "a sign is wrong; `invert: true` for one of the two channels in the rig file"
+    cure = (
+        "a sign is wrong; `invert: true` for one of the two channels in the rig file, or an acceleration is "
+        "stated as a displacement, which has the other sign, or the other way round"
+    )
     return [Finding("unphysical", f"{what}: {cure}")] if turned else []
 
 

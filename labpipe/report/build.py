@@ -198,10 +198,11 @@ def provenance_sections(identification: Identification) -> tuple[Section, ...]:
         blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
     for facts in section_facts(identification) if not blocks else ():
         blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
+    given = "tables" if all(of_points(fit.model) for fit in identification.fits) else "FRFs"
     return (
         Section(
             "Rig and conditions",
-            tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),),
+            tuple(blocks) or (Paragraph(f"The {given} were given as they are; no rig file was named."),),
         ),
         Section("Provenance", _provenance(identification)),
     )
