@@ -40,7 +40,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     find = (
         catalogue_search.found_values
-        if criteria.parameter or criteria.fit or criteria.test
+        if criteria.parameter or criteria.fit or criteria.test or criteria.source
         else catalogue_search.found_results
     )
     with read_results(folder) as here:

@@ -19,6 +19,7 @@ from labpipe.artefacts.places import list_below
 from labpipe.artefacts.writing import is_remote, output_file, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.executors import Execute, serially
+from labpipe.project.identify import rig_entry
 from labpipe.project.many_tests import outcome_of, settings_of_many, summed_up
 from labpipe.project.measured import fits_file_name
 from labpipe.project.one_test import Done, Job, work
@@ -156,9 +157,14 @@ class Watch:
     def _resume(self) -> None:
         """What earlier watches did; the move of a bad recording that a kill cut short is finished."""
         before = self.results / NAME
-        if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
+        earlier = read_identification(before) if before.exists() else None
+        if earlier is not None and earlier.settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
             raise ConfigError("holds results of other settings", self.results, hint)
+        if earlier is not None and earlier.rig != rig_entry(self.pipeline):
+            remark = "the rig file is another than before: results that are there keep theirs"
+            self._log("changed", "", remark=remark)
+            self.tell(remark)
         written = parts(self.results)
         self._summary = sum_summaries(read_summary(part) for part in written)
         rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
