@@ -126,7 +126,8 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
     spread = np.divide(high - low, high + low, out=np.zeros_like(low), where=high + low > 0)
     if spread.max() < LEAST_SPREAD:
-        echo(f"over one passage of a rolling element the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
+        what = "over one passage of a rolling element the direct stiffness varies by less than"
+        echo(f"{what} {100 * LEAST_SPREAD:g} %")
         return
     ranges = ", ".join(
         f"{dof} +- {per_cent(part)}" for dof, part in zip(coefficients.dofs, spread, strict=True)

@@ -182,6 +182,7 @@ def _notes(identification: Identification) -> tuple[Block, ...]:
 
 
 # Parts of the settings that the numbers depend on.
+SETTINGS = "Settings in SI units (Hz, s, m, N, rad)"
 SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
 
 
@@ -198,12 +199,11 @@ def provenance_sections(identification: Identification) -> tuple[Section, ...]:
         blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
     for facts in section_facts(identification) if not blocks else ():
         blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
-    given = "tables" if all(of_points(fit.model) for fit in identification.fits) else "FRFs"
+    unnamed = "No rig file was named."
+    if identification.responses:
+        unnamed = f"The FRFs were given as they are; {unnamed.lower()}"
     return (
-        Section(
-            "Rig and conditions",
-            tuple(blocks) or (Paragraph(f"The {given} were given as they are; no rig file was named."),),
-        ),
+        Section("Rig and conditions", tuple(blocks) or (Paragraph(unnamed),)),
         Section("Provenance", _provenance(identification)),
     )
 
@@ -241,7 +241,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     return (
         Table(("source file", "SHA-256"), rows, "Source files"),
         Paragraph(repeat),
-        Table(("setting", "value"), _stated_settings(settings), "Settings in SI units (Hz, s, m, N, rad)"),
+        *([Table(("setting", "value"), stated, SETTINGS)] if (stated := _stated_settings(settings)) else []),
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import probability_text
 from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -23,7 +24,6 @@ from labpipe.methods.magnetic_bearing.limits import (
     sound,
     undecided_limits,
     verdict_of,
-    words,
 )
 from labpipe.methods.magnetic_bearing.loop import margins
 from labpipe.methods.magnetic_bearing.loop_fit import (
@@ -366,7 +366,9 @@ def _zone_limit(
     if worst.at_edge and whose == "measured" and probability > 1 - acceptance.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
         return Limit("zone", None, f"{zone}; zone {acceptance.zone} or better not judged, since {why}", why)
-    return Limit("zone", probability, f"{zone}; zone {acceptance.zone} or better with {words(probability)}")
+    return Limit(
+        "zone", probability, f"{zone}; zone {acceptance.zone} or better with {probability_text(probability)}"
+    )
 
 
 def _decrement_limits(acceptance: LoopCertificateSettings, model: FittedBearing | None) -> list[Limit]:
@@ -384,7 +386,11 @@ def _decrement_limits(acceptance: LoopCertificateSettings, model: FittedBearing 
         probability_below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes()
     )
     of_mode = f"log decrement {loop.amounts[least]:.3g} of mode {least.rpartition('_')[2]}"
-    return [Limit("log_decrement", probability, f"{of_mode}; above {limit:g} with {words(probability)}")]
+    return [
+        Limit(
+            "log_decrement", probability, f"{of_mode}; above {limit:g} with {probability_text(probability)}"
+        )
+    ]
 
 
 def _curves(

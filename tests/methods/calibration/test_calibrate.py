@@ -284,6 +284,9 @@ def test_the_command_fits_the_lines_alone_and_judges_their_rules(tmp_path: Path,
     assert ended.code == 0 and "expect: probe.slope 8.2 mV/um +- 0.1 %: passed" in ended.out, ended.err
     (fit,) = read_identification(tmp_path / "out/identification.json").fits
     assert fit.parameter("slope").value == pytest.approx(8200.0)
+    assert labpipe("report", tmp_path / "out", "-o", tmp_path / "out/r.md").code == 0
+    page = (tmp_path / "out/r.md").read_text("utf-8")
+    assert "No rig file was named." in page and "FRFs were given" not in page
     wrong = ("--set", "expect.probe.slope=8.3 mV/um +- 0.1 %")
     ended = labpipe("calibrate", "-c", tmp_path / "p.yaml", "-o", tmp_path / "out", *wrong)
     assert ended.code == 1 and "FAILED" in ended.out
