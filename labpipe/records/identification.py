@@ -78,6 +78,8 @@ class DatasetIndex:
         )
 
 
+# In the rig of a dataset: how many other rig files its earlier tests were made with.
+RIGS_BEFORE = "rigs_before"
 # The models of a line and of a plane through points, of a calibration.
 STRAIGHT_LINE, PLANE = "straight-line", "plane"
 

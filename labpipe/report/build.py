@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
-from labpipe.display import count_text
+from labpipe.display import amount_text, count_text, per_cent
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
-from labpipe.records.identification import Identification, of_points
+from labpipe.records.identification import RIGS_BEFORE, Identification, of_points
 from labpipe.records.sections import section
 from labpipe.registry import Registry, nearest
 from labpipe.report.cover import all_hold, cover_facts, result_blocks, rule_blocks, section_facts
@@ -221,14 +221,31 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
             *(entry["channel"][key] for key in ("quantity", "role", "dof")),
             entry["unit"],
             f"{entry['scale']:.6g}",
+            "; ".join(_stated(each) for each in entry["channel"].get("uncertainties", [])),
         )
         for entry in rig.get("channels", [])
     )
     header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
+    stated = any(row[-1] for row in rows)
+    table = (
+        Table((*header, "standard uncertainty (source)"), rows, "Channels", (6,))
+        if stated
+        else Table(header, tuple(row[:-1] for row in rows), "Channels", (6,))
+    )
+    before = rig.get(RIGS_BEFORE, 0)
+    what = f"This is the rig of the last tests; earlier ones rest on {count_text(before, 'other rig file')}."
     return (
         Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"),
-        Table(header, rows, "Channels", (6,)),
+        *([Paragraph(what, "warning")] if before else []),
+        table,
     )
+
+
+def _stated(entry: Mapping[str, Any]) -> str:
+    """An uncertainty of a channel in words, as 'gain 0.5 % (sensor 7)'."""
+    of, effect = entry["uncertainty"], entry["effect"].replace("_", " ")
+    size = per_cent(of["std_error"]) if of["unit"] == "1" else amount_text(of["std_error"], None, of["unit"])
+    return f"{effect} {size} ({of['source']})"
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:

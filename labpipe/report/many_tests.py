@@ -259,7 +259,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     words = "Every row of the dataset carries the digest of the recordings that it comes from. To repeat:"
     repeat = f"labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`, with"
     return (
-        Table(("part of the dataset", "SHA-256"), rows, "Results"),
+        *([Table(("part of the dataset", "SHA-256"), rows, "Results")] if rows else []),
         Paragraph(f"{words} {repeat} the settings that identification.json states."),
         Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
         Code(json.dumps(settings, indent=1)),

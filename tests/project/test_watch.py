@@ -106,6 +106,13 @@ def test_a_changed_sensor_is_logged_and_its_tests_are_found(bench: Path, labpipe
         if line["event"] == "changed"
     )
     assert remark == "the rig file is another than before: results that are there keep theirs"
+    assert labpipe("report", bench / "out", "-o", bench / "r.md").code == 0
+    page = (bench / "r.md").read_text("utf-8")
+    assert "This is the rig of the last tests; earlier ones rest on 1 other rig file." in page
+    assert "gain 0.5 % (sensor 5678)" in page and "*Results*" not in page
+    for _ in range(2):
+        assert labpipe(*arguments(bench, *ONCE)).code == 0
+        assert read_identification(bench / "out/identification.json").rig["rigs_before"] == 1
     asked = ("list", bench / "out", "--fit", "direct", "-p", "k", "--source")
     ended = labpipe(*asked, "sensor 5678")
     assert "5678N-9.csv" in ended.out and "1234N-9.csv" not in ended.out and "100N-1.csv" not in ended.out
