@@ -36,7 +36,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     loop_fit,
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
-from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
+from labpipe.methods.magnetic_bearing.measured_margins import measured_margins, unsure_crossings
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.records.comparison import Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
@@ -241,10 +241,25 @@ def certificate(
         statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
-        findings=(*_leaking(loops, peaks), *_findings(worst, model)),
+        findings=(*_leaking(loops, peaks), *_hidden(matrix, loops), *_findings(worst, model)),
         budgets=tuple(filter(None, budgets)),
         undecided=tuple(unsure),
     )
+
+
+def _hidden(
+    matrix: sensitivity.SensitivityMatrix, loops: Sequence[sensitivity.MeasuredSensitivity]
+) -> Iterator[Finding]:
+    """A finding where noise hides whether a loop crosses |L| = 1, as at a mode of the rotor."""
+    frequency, dof = matrix.response.frequency, matrix.response.covariance_dof
+    for name, loop in zip(matrix.loops, loops, strict=True):
+        for low, high in unsure_crossings(frequency, loop.transfer, dof):
+            what = (
+                f"|L| of {name} passes 1 between {low:g} and {high:g} Hz, but not beyond its noise: no "
+                "measured margin counts what is there, and true ones may be smaller. Inject more there, or record "
+                "longer"
+            )
+            yield Finding("weak-injection", what)
 
 
 @dataclass(frozen=True)
