@@ -256,8 +256,8 @@ def _hidden(
         for low, high in unsure_crossings(frequency, loop.transfer, dof):
             what = (
                 f"|L| of {name} passes 1 between {low:g} and {high:g} Hz, but not beyond its noise: no "
-                "measured margin counts what is there, and true ones may be smaller. Inject more there, or record "
-                "longer"
+                "measured margin counts what is there, and true ones may be smaller. Inject more there, or "
+                "record longer"
             )
             yield Finding("weak-injection", what)
 
