@@ -20,7 +20,7 @@ from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, Valu
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
-from labpipe.registry import list_names, nearest
+from labpipe.registry import few, list_names, nearest
 
 
 @click.command(name="list")
@@ -247,8 +247,7 @@ def compare(
     alone = [*catalogue_search.lone_parameters(mine, others)]
     for which, names in zip(("first", "second"), alone, strict=True):
         if names:
-            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-            echo(f"not compared, in the {which} alone: {'; '.join(names[:MOST_NAMED])}{more}")
+            echo(f"not compared, in the {which} alone: {few(names, MOST_NAMED, '; ')}")
     shared = digests & digests_there
     if shared and shared in (digests, digests_there):
         echo("both come from the same files: the noise that they share makes no difference")

@@ -15,12 +15,12 @@ from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
 from labpipe.records.identification import RIGS_BEFORE, Identification, of_points
 from labpipe.records.sections import section
-from labpipe.registry import Registry, nearest
+from labpipe.registry import Registry, few, nearest
 from labpipe.report.cover import all_hold, cover_facts, result_blocks, rule_blocks, section_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
-from labpipe.report.wording import few, fit_title
+from labpipe.report.wording import fit_title
 from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to

@@ -14,11 +14,12 @@ from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
 from labpipe.records.identification import DatasetIndex, Identification, RuleOutcome
+from labpipe.registry import few
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, stack
 from labpipe.report.cover import all_hold, rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import few, legible
+from labpipe.report.wording import legible
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
 Points = tuple[FloatArray, FloatArray]
