@@ -221,7 +221,7 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
             *(entry["channel"][key] for key in ("quantity", "role", "dof")),
             entry["unit"],
             f"{entry['scale']:.6g}",
-            "; ".join(_stated(each) for each in entry["channel"].get("uncertainties", [])),
+            "; ".join(_uncertainty_text(each) for each in entry["channel"].get("uncertainties", [])),
         )
         for entry in rig.get("channels", [])
     )
@@ -241,7 +241,7 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
     )
 
 
-def _stated(entry: Mapping[str, Any]) -> str:
+def _uncertainty_text(entry: Mapping[str, Any]) -> str:
     """An uncertainty of a channel in words, as 'gain 0.5 % (sensor 7)'."""
     of, effect = entry["uncertainty"], entry["effect"].replace("_", " ")
     size = per_cent(of["std_error"]) if of["unit"] == "1" else amount_text(of["std_error"], None, of["unit"])

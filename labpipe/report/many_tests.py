@@ -193,14 +193,14 @@ def _which(tests: ManyTests, outcomes: Sequence[RuleOutcome], index: DatasetInde
     judged = [of for of in tests.parameters if f"{of.fit}.{of.parameter}" in broken and not of.term]
     values = [(of, dict(zip(of.tests, zip(of.values, of.errors, strict=True), strict=True))) for of in judged]
 
-    def found(test: str) -> str:
+    def values_of(test: str) -> str:
         shown = ((of, *by_test[test]) for of, by_test in values if np.isfinite(by_test.get(test, NOTHING)[0]))
         return "; ".join(
             f"{of.parameter} {amount_text(value, error if np.isfinite(error) else None, of.unit)}"
             for of, value, error in shown
         )
 
-    not_accepted = tuple((test, where, found(test), said) for test, where, said in tests.not_accepted)
+    not_accepted = tuple((test, where, values_of(test), said) for test, where, said in tests.not_accepted)
     sections = []
     for heading, named, count, why in (
         ("Tests that could not be evaluated", tests.failed, index.failed, ("why",)),

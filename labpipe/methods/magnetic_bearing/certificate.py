@@ -241,13 +241,13 @@ def certificate(
         statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
-        findings=(*_leaking(loops, peaks), *_hidden(matrix, loops), *_findings(worst, model)),
+        findings=(*_leaking(loops, peaks), *_hidden_crossings(matrix, loops), *_findings(worst, model)),
         budgets=tuple(filter(None, budgets)),
         undecided=tuple(unsure),
     )
 
 
-def _hidden(
+def _hidden_crossings(
     matrix: sensitivity.SensitivityMatrix, loops: Sequence[sensitivity.MeasuredSensitivity]
 ) -> Iterator[Finding]:
     """A finding where noise hides whether a loop crosses |L| = 1, as at a mode of the rotor."""

@@ -201,7 +201,8 @@ def unsure_crossings(
     frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], dof: float
 ) -> list[tuple[float, float]]:
     """Bands [Hz] in which |L| passes 1 and comes back by its smoothed values, by a factor of PASSES and more,
-    but nowhere surely, so that no margin counts it. *frequency*, *transfer* and *dof* as of margins.
+    but nowhere surely, so that no margin counts it. *transfer*: L (n_line,) [1] with its variance (n_line,)
+    [1] at *frequency* (n_line,) [Hz]; *dof*: complex degrees of freedom behind the variance.
     """
     if frequency.size < LOCAL:
         return []
