@@ -55,6 +55,13 @@ def chance_text(p_value: float | None) -> str:
     return f"p < {LEAST_CHANCE:g}" if p_value < LEAST_CHANCE else f"p = {p_value:.2g}"
 
 
+def probability_text(probability: float) -> str:
+    """A probability in per cent, never all or nothing."""
+    if probability > 0.999:
+        return "over 99.9 %"
+    return "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
+
+
 def difference_in(amount: float, unit: str) -> float:
     """A difference [SI], such as an uncertainty, in a unit that may have an offset."""
     return to_display(amount, unit) - to_display(0.0, unit)

@@ -32,8 +32,13 @@ def nearest(name: str, choices: Iterable[str]) -> str:
 
 def list_names(names: Sequence[str]) -> str:
     """Names in a message: the first MOST_LISTED, and how many more there are."""
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    return (", ".join(names[:MOST_LISTED]) or "none") + more
+    return few(names, MOST_LISTED) or "none"
+
+
+def few(texts: Sequence[str], most: int, mark: str = ", ") -> str:
+    """The first *most* of the texts, and how many more there are."""
+    more = f" and {len(texts) - most} more" if len(texts) > most else ""
+    return mark.join(texts[:most]) + more
 
 
 # Every choice that comes with labpipe; also in the metadata of an installed labpipe.

@@ -235,10 +235,10 @@ def test_the_command_s_table_loads_nothing_heavy() -> None:
 def method_names() -> set[str]:
     """The names of all models and estimators: of fits, and of spectra."""
     from labpipe.estimation.settings import ESTIMATORS, MODELS
-    from labpipe.records.identification import STRAIGHT_LINE
+    from labpipe.records.identification import PLANE, STRAIGHT_LINE
     from labpipe.spectra.random import ESTIMATORS as OF_SPECTRA
 
-    return {*MODELS, *ESTIMATORS, *OF_SPECTRA, STRAIGHT_LINE}
+    return {*MODELS, *ESTIMATORS, *OF_SPECTRA, STRAIGHT_LINE, PLANE}
 
 
 def strings(node: ast.AST) -> set[str]:

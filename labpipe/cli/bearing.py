@@ -39,7 +39,7 @@ PERCENTAGES = ("mesh_error",)
 
 
 def echo_bearing(name: str, kind: str, whole: Evaluated) -> None:
-    """Matrices, uncertainties, equilibrium, range over one ball passage, and warnings."""
+    """Matrices, uncertainties, equilibrium, range over one passage of an element, and warnings."""
     coefficients = whole.coefficients
     echo(f"{name}: {kind}")
     _echo_matrix("stiffness", coefficients, coefficients.stiffness, coefficients.relative)
@@ -126,12 +126,13 @@ def _echo_passage(coefficients: BearingCoefficients) -> None:
     low, high = np.diag(coefficients.lowest), np.diag(coefficients.highest)
     spread = np.divide(high - low, high + low, out=np.zeros_like(low), where=high + low > 0)
     if spread.max() < LEAST_SPREAD:
-        echo(f"over one ball passage the direct stiffness varies by less than {100 * LEAST_SPREAD:g} %")
+        what = "over one passage of a rolling element the direct stiffness varies by less than"
+        echo(f"{what} {100 * LEAST_SPREAD:g} %")
         return
     ranges = ", ".join(
         f"{dof} +- {per_cent(part)}" for dof, part in zip(coefficients.dofs, spread, strict=True)
     )
-    echo(for_terminal(f"over one ball passage the direct stiffness varies: {ranges}"))
+    echo(for_terminal(f"over one passage of a rolling element the direct stiffness varies: {ranges}"))
 
 
 def echo_sweep(name: str, sweep: BearingSweep, cases: Sequence[BearingCoefficients]) -> None:

@@ -101,6 +101,11 @@ _FILTERS = (
     click.option("--since", default="", metavar="DATE", help="Only from this day on, e.g. 2026-11-03."),
     click.option("--until", default="", metavar="DATE", help="Only up to this day."),
     click.option(
+        "--source",
+        default="",
+        help="Only values whose uncertainty has this source, e.g. a sensor; '*' matches any characters.",
+    ),
+    click.option(
         "--where",
         multiple=True,
         metavar="CONDITION",

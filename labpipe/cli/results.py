@@ -20,7 +20,7 @@ from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, Valu
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
-from labpipe.registry import list_names, nearest
+from labpipe.registry import few, list_names, nearest
 
 
 @click.command(name="list")
@@ -40,7 +40,7 @@ def list_results(folder: Path, parameter: str, table: Path | None, **filters: ob
     criteria = Filter(parameter=parameter, **filters)  # type: ignore[arg-type]
     find = (
         catalogue_search.found_values
-        if criteria.parameter or criteria.fit or criteria.test
+        if criteria.parameter or criteria.fit or criteria.test or criteria.source
         else catalogue_search.found_results
     )
     with read_results(folder) as here:
@@ -213,11 +213,19 @@ MOST_NAMED = 6
     help="Show only this parameter (repeatable); the correction counts all of them.",
 )
 @click.option("--csv", "table", type=options.PATH, help="Write all columns, in SI units, to this file.")
-def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path | None) -> None:
+@click.option(
+    "--exit-code",
+    is_flag=True,
+    help="End with 1 where a value differs, or cannot be judged, or is in one result alone.",
+)
+def compare(
+    first: Path, second: Path, parameter: tuple[str, ...], table: Path | None, exit_code: bool
+) -> int:
     """Compare the result SECOND with FIRST (folders or identification.json), parameter by parameter.
 
     Either may be s3://bucket/prefix. The p-value is the probability of so large a difference by the standard
-    errors alone, corrected for the number of parameters (Holm).
+    errors alone, corrected for the number of parameters (Holm). The exit code is 0 whatever differs, without
+    --exit-code; with -p this is of the parameters shown.
     """
     (mine, digests), (others, digests_there) = _parameters(first), _parameters(second)
     pairs = catalogue_search.differences(mine, others)
@@ -236,13 +244,15 @@ def compare(first: Path, second: Path, parameter: tuple[str, ...], table: Path |
     n_different = sum(pair.differs for pair in tested)
     level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
-    for which, names in zip(("first", "second"), catalogue_search.lone_parameters(mine, others), strict=True):
+    alone = [*catalogue_search.lone_parameters(mine, others)]
+    for which, names in zip(("first", "second"), alone, strict=True):
         if names:
-            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-            echo(f"not compared, in the {which} alone: {'; '.join(names[:MOST_NAMED])}{more}")
+            echo(f"not compared, in the {which} alone: {few(names, MOST_NAMED, '; ')}")
     shared = digests & digests_there
     if shared and shared in (digests, digests_there):
         echo("both come from the same files: the noise that they share makes no difference")
+    is_same = all(pair.is_same for pair in selected) and (bool(parameter) or not any(alone))
+    return int(exit_code and not is_same)
 
 
 def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:

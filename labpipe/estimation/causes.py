@@ -27,7 +27,7 @@ from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model import DynamicModel, FittedModel, Setup, Term, no_matrices
 from labpipe.estimation.output_error import OutputError
-from labpipe.estimation.regression import inverse_of, regression
+from labpipe.estimation.regression import equation_solution, inverse_of, regression
 from labpipe.estimation.residual import line_scatter
 from labpipe.estimation.statistics import Pulls, Stated, pulls_of, steps_by
 from labpipe.estimation.weights import fit_weights, has_noise, weight_uncertainty, whiten_values, whitener
@@ -83,6 +83,17 @@ MOST_STEPS = 40
 # A given mass is taken as known to this share: calibrations are hardly better, and a window's resolution at a
 # sharp resonance, which no covariance holds, moves a free mass by tenths of a per cent.
 TOLERANCE = 0.01
+
+
+# What a mass is wrong by where the unit of force or response is another one, within SAME_FACTOR.
+UNIT_FACTORS = {
+    9.80665: "the factor is that of g and m/s^2, or of kgf and N",
+    1e3: "the factor is that of kN and N, or of mm and m",
+    1e6: "the factor is that of um and m",
+    25.4: "the factor is that of in and mm",
+    4.44822: "the factor is that of lbf and N",
+}
+SAME_FACTOR = 0.03
 
 
 # A fit with free mass: all values, their covariance, and the degrees of freedom behind it.
@@ -146,6 +157,13 @@ def _free_fit(
     try:
         problem = OutputError.of(measured, model)
         minimum = minimise(problem, start, most_steps=MOST_STEPS, linearise=problem.linearise)
+        left = problem.chi2(minimum.values)
+        if not minimum.converged or left > (1 - EXPLAINED) * problem.chi2(start):
+            # A mass that is wrong by a power of ten is too far away: from the equation of motion.
+            near = equation_solution(regression(measured, model, "none"), model)[0]
+            other = minimise(problem, near, most_steps=MOST_STEPS, linearise=problem.linearise)
+            if other.converged and not (minimum.converged and left <= problem.chi2(other.values)):
+                minimum = other
         if not minimum.converged:
             return None
         linear = problem.linearise(minimum.values)
@@ -210,9 +228,15 @@ def _message(
             f" {changed} is then {_amount(free.value(changed), 'N/m', error)} instead of "
             f"{_amount(before.value(changed), 'N/m')}."
         )
+    ratio = free.value(model.names[-1]) / given[-1] if n == 1 else 0.0
+    units = "".join(
+        f" ({what})"
+        for factor, what in UNIT_FACTORS.items()
+        if ratio > 0 and abs(abs(np.log(ratio)) - np.log(factor)) < SAME_FACTOR
+    )
     return (
         f"the data contradict the given mass by more than {100 * TOLERANCE:g} % ({chance_text(p_value)}): "
-        f"{masses}.{becomes} Either the mass or the calibration is wrong, or stiffness changes with "
+        f"{masses}.{becomes} Either the mass or the calibration{units} is wrong, or stiffness changes with "
         "frequency in the band. Weigh what moves, calibrate, fit with `mass: estimate`, or narrow the band"
     )
 

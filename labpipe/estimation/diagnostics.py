@@ -8,12 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.display import chance_text
+from labpipe.errors import FitError
 from labpipe.estimation.derived import is_direct, modes
 from labpipe.estimation.estimators import Estimator
+from labpipe.estimation.likelihood import maximum_likelihood
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.model import Matrices, Setup
+from labpipe.estimation.model import DynamicModel, Matrices, Setup, entry_term, fixed_matrices
 from labpipe.estimation.statistics import Estimate, condition_number
 from labpipe.estimation.transfer_mode import transfer_of
 from labpipe.estimation.weights import has_noise
@@ -60,6 +62,20 @@ def motion_notes(measured: Measured) -> tuple[str, ...]:
 # The mean of the cosine of a driving point's mobility, by its square, below which its sign is wrong.
 FED_BACK = -0.5
 
+# Share of the excess chi-square that another reading of the channels explains where the rig file is wrong.
+BY_READING = 0.9
+# Bound of each descent: a wrong reading may have no minimum.
+MOST_READING_STEPS = 40
+QUANTITIES = ("displacement", "velocity", "acceleration")
+OSCILLATOR = DynamicModel(
+    "oscillator",
+    tuple(
+        entry_term(name, kind, [(0, 0)], (1, 1))
+        for name, kind in (("k", "stiffness"), ("c", "damping"), ("m", "mass"))
+    ),
+    fixed_matrices(np.zeros((1, 1)), np.ones((1, 1))),
+)
+
 # Findings that name a cause, where an FRF that a closed loop biases makes them appear.
 OF_ANOTHER_CAUSE = ("mass", "stated-value", "unphysical")
 
@@ -88,6 +104,10 @@ def with_cautions(fit: Fit, measured: Sequence[Finding]) -> Fit:
     where what is injected into a closed loop hardly exceeds its noise and the residual is more than noise.
     """
     fit = with_feedback(fit, measured)
+    if any(finding.code == "wrong-quantity" for finding in fit.findings):
+        # What follows from it is not said beside it.
+        kept = tuple(finding for finding in fit.findings if finding.code not in OF_ANOTHER_CAUSE)
+        fit = replace(fit, findings=kept)
     lost = [finding for finding in measured if finding.code in LOST_SAMPLES and finding not in fit.findings]
     fit = replace(fit, findings=(*fit.findings, *lost))
     weak = is_of_closed_loop(measured) and any(finding.code == "low-snr" for finding in measured)
@@ -309,8 +329,66 @@ def sign_findings(measured: Measured) -> list[Finding]:
             if (output.dof, output.angle) == (force.dof, force.angle) and share < FED_BACK:
                 turned.append(f"{output.label}/{force.label}")
     what = f"{', '.join(turned)} at its driving point feeds power back, which no structure does"
-    cure = "a sign is wrong; `invert: true` for one of the two channels in the rig file"
+    cure = (
+        "a sign is wrong; `invert: true` for one of the two channels in the rig file, or an acceleration is "
+        "stated as a displacement, which has the other sign, or the other way round"
+    )
     return [Finding("unphysical", f"{what}: {cure}")] if turned else []
+
+
+def reading_findings(measured: Measured, setup: Setup, estimate: Estimate) -> dict[str, Finding]:
+    """What the channels of a driving point must be taken for to make its FRF an oscillator of k, c, m > 0
+    with its resonance in the band, and the finding: force and response in each other's place, or another
+    derivative in time as the response. None where an *estimate* of positive values explains half of the
+    FRF, of unknown noise, nor without most of the excess. Equation (est-reading).
+    """
+    order, settings = measured.derivatives, setup.settings
+    is_sound = estimate.converged and estimate.gof.r2_adjusted >= LOW_GOF and np.all(estimate.values >= 0)
+    other = setup.closed_loop or transfer_of(setup) or settings.kind.of_base or settings.sliding is not None
+    if is_sound or other or measured.matrix.shape[1:] != (1, 1) or not has_noise(measured):
+        return {}
+    force, response = measured.inputs[0].channel, measured.outputs[0].channel
+    h, jw = measured.matrix, 1j * measured.omega[:, None, None]
+    readings = {
+        f"that {response} is {name}, not {QUANTITIES[order]}": h * jw ** (order - n)
+        for n, name in enumerate(QUANTITIES)
+        if n != order
+    }
+    swapped = f"that {force} and {response} are in each other's place"
+    readings[swapped] = 1 / (h * jw ** (2 * order))
+    (before, _), *others = (_as_oscillator(measured, reading) for reading in (h, *readings.values()))
+    (after, values), cause = min(zip(others, readings, strict=True), key=lambda entry: entry[0][0])
+    if values is None or after - 1 > (1 - BY_READING) * (before - 1):
+        return {}
+    f_n = float(np.sqrt(values[0] / values[2])) / (2 * np.pi)
+    zeta = values[1] / (2 * np.sqrt(values[0] * values[2]))
+    antiresonance = ", or the band holds an antiresonance" if order == 1 and cause == swapped else ""
+    message = (
+        f"the FRF suggests {cause}{antiresonance}: read so, it is that of an oscillator with f_n = {f_n:.4g} "
+        f"Hz and zeta = {zeta:.3g}, and chi-square per degree of freedom is {after:.3g} instead of "
+        f"{before:.3g}. Look at `column`, `quantity` and unit of these channels in the rig file; this fit is "
+        "no result"
+    )
+    return {cause: Finding("wrong-quantity", message)}
+
+
+def _as_oscillator(measured: Measured, receptance: ComplexArray) -> tuple[float, FloatArray | None]:
+    """Chi-square per degree of freedom [1] of a reading (n_line, 1, 1) [m/N] of the FRF as an oscillator, and
+    its k, c, m; without these where they are not positive with the resonance between the lines.
+    """
+    assert measured.variance is not None
+    size = np.abs(receptance / measured.matrix) ** 2
+    covariance = measured.variance[:, :, None] * size + 0j
+    read = replace(measured, matrix=receptance, covariance=covariance, leakage=None)
+    try:
+        fit = maximum_likelihood(read, OSCILLATOR, most_steps=MOST_READING_STEPS)
+    except (FitError, np.linalg.LinAlgError):
+        return np.inf, None
+    k, _, m = fit.values
+    omega, reduced = measured.omega, fit.gof.chi2_reduced
+    assert reduced is not None
+    is_sound = fit.converged and np.all(fit.values > 0) and omega[0] ** 2 <= k / m <= omega[-1] ** 2
+    return reduced, fit.values if is_sound else None
 
 
 def _modal_findings(parameters: Sequence[Parameter]) -> list[Finding]:

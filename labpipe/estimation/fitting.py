@@ -274,7 +274,7 @@ def _fit_band(
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     most = LIKELIER * compared_models[0].chi2 if law else np.inf
     faults = _find_faults(case, judged, most) if judging else {}
-    cause = next((f"a delay of {late}" for late in faults if late), law)
+    cause = next((fault for fault in faults if fault), law)
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -473,20 +473,25 @@ def _contradict(
 
 
 def _find_faults(case: Case, judged: _Judged, most: float) -> dict[str, Finding]:
-    """Findings on a channel that is late, by its name, else under "" on a mass without uncertainty: a channel
-    that is late makes any mass look wrong. Of a model linear in its parameters, responses of reliable
+    """Findings by the cause of the residual that they name: channels of a response to a force taken for
+    others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
+    makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
     phase to a force, a mass without uncertainty. *most*: chi-square [1] that a delay may leave.
     """
-    settings, model = case.setup.settings, case.model
+    settings, model, estimate = case.setup.settings, case.model, case.estimate
+    chance = estimate.gof.chi2_p
+    is_rejected = not estimate.converged or (chance is not None and chance < diagnostics.MISMATCH_P)
+    if is_rejected and (misread := diagnostics.reading_findings(case.measured, case.setup, estimate)):
+        return misread
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
-    is_sound = settings.estimates.phase and case.estimate.converged and not has_error
+    is_sound = settings.estimates.phase and estimate.converged and not has_error
     if not is_sound or not isinstance(model, DynamicModel):
         return {}
-    values, chance, late = case.estimate.values, case.estimate.gof.chi2_p, {}
-    if chance is not None and chance < diagnostics.MISMATCH_P:
-        late = causes.delay_findings(case.measured, model, values, most)
-    masses = () if late else causes.mass_findings(case.measured, model, values, case.setup, judged.stated)
-    return {"": masses[0]} if masses else late
+    late = causes.delay_findings(case.measured, model, estimate.values, most) if is_rejected else {}
+    if late:
+        return {f"a delay of {channel}": finding for channel, finding in late.items()}
+    masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
+    return {"": masses[0]} if masses else {}
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:

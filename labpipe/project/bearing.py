@@ -69,7 +69,7 @@ def _sweep_figure(
         shown = shown.replace("/", ".s/") if kind == "damping" else shown
         panels.append(Panel(Axis(name, unit), Axis(kind, shown), tuple(series)))
     ranged = kind == "stiffness" and swept[0].lowest is not None
-    band = "; shaded: range over one ball passage" if ranged else ""
+    band = "; shaded: range over one passage of a rolling element" if ranged else ""
     caption = f"{title}: {kind} over {label}{band}. Coefficients that are zero throughout are left out."
     alternative = f"{kind.capitalize()} coefficients of {title} over {label}"
     return Figure(stack(panels, 0.7 + 2.3 * len(panels)), caption, alternative)

@@ -236,7 +236,7 @@ _AMONG = "IN (SELECT value FROM json_each(?))"
 @dataclass(frozen=True)
 class Filter:
     """Criteria of a query; names may hold `*`. since, until: days such as 2026-11-03. where: "preload >= 400
-    N", "direction = up".
+    N", "direction = up". source: of the uncertainty of a value, such as a sensor or its certificate.
     """
 
     rig: str = ""
@@ -246,6 +246,7 @@ class Filter:
     since: str = ""
     until: str = ""
     where: tuple[str, ...] = ()
+    source: str = ""
 
 
 def name_of(path: str) -> str:

@@ -42,7 +42,7 @@ from labpipe.project.catalogue import (
 )
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
-from labpipe.registry import nearest
+from labpipe.registry import list_names, nearest
 from labpipe.uncertainty.amounts import count_once, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
@@ -162,7 +162,12 @@ def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
     with open_index(folder) as index:
         homes = _homes(index, folder).items()
         of_datasets = [functools.partial(dataset_values, home, name, criteria) for name, home in homes]
-        return _collect_rows(index, functools.partial(values, index, criteria), of_datasets)
+        rows = _collect_rows(index, functools.partial(values, index, criteria), of_datasets)
+    if not criteria.source:
+        return rows
+    sources = dict.fromkeys(source for row in rows for source in json.loads(row.changes))
+    meant = set(names_meant("source", criteria.source, [*sources]))
+    return [row for row in rows if meant & json.loads(row.changes).keys()]
 
 
 def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
@@ -228,6 +233,11 @@ class Difference:
     def differs(self) -> bool:
         return self.p_value is not None and self.p_value < LEVEL
 
+    @property
+    def is_same(self) -> bool:
+        """Whether the two agree; without a standard error only if they are equal."""
+        return self.first == self.second if self.p_value is None else not self.differs
+
 
 def differences(first: Iterable[ListedParameter], second: Iterable[ListedParameter]) -> list[Difference]:
     """The parameters common to two results, in the order of the first one; DataError when there is none.
@@ -245,11 +255,20 @@ def differences(first: Iterable[ListedParameter], second: Iterable[ListedParamet
         if (partner := theirs.get(_key(listed, one_test))) is not None
     ]
     if not pairs:
-        names = [", ".join(dict.fromkeys(listed.fit for listed in side)) or "none" for side in (mine, others)]
-        raise DataError(
-            f"the two have no fit in common (fits: {names[0]}; {names[1]})",
-            hint="name, term, band and test must be the same",
+        of_fits, of_tests = (
+            [
+                list_names([*dict.fromkeys(getattr(listed, column) for listed in side)])
+                for side in (mine, others)
+            ]
+            for column in ("fit", "test")
         )
+        names = (
+            f"fits: {'; '.join(of_fits)}"
+            if len({*of_fits}) > 1 or len({*of_tests}) == 1
+            else f"tests: {'; '.join(of_tests)}"
+        )
+        hint = "name, term, band and test must be the same"
+        raise DataError(f"the two have no fit in common ({names})", hint=hint)
     with_p_value = [number for number, pair in enumerate(pairs) if pair.p_value is not None]
     corrected = holm(np.array([pairs[number].p_value for number in with_p_value], np.float64))
     for number, p_value in zip(with_p_value, corrected, strict=True):

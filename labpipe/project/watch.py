@@ -10,7 +10,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.artefacts.dataset_file import parts, read_part, read_summary, write_parts
@@ -19,6 +19,7 @@ from labpipe.artefacts.places import list_below
 from labpipe.artefacts.writing import is_remote, output_file, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.executors import Execute, serially
+from labpipe.project.identify import rig_entry
 from labpipe.project.many_tests import outcome_of, settings_of_many, summed_up
 from labpipe.project.measured import fits_file_name
 from labpipe.project.one_test import Done, Job, work
@@ -27,7 +28,7 @@ from labpipe.project.tests import EachFile, SourceFile, Test
 from labpipe.raw_files.table import READERS
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.dataset import DatasetSummary, TestResult, sum_summaries, summary_of
-from labpipe.records.identification import Failed
+from labpipe.records.identification import RIGS_BEFORE, Failed
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ class Watch:
         self._waiting: list[TestResult] = []
         self._since = self.clock()
         self._summary = DatasetSummary()
+        self._rigs_before = 0
 
     def run(self) -> DatasetSummary:
         """Watch until stopped. ConfigError for other settings' results, DataError for damaged ones."""
@@ -156,9 +158,17 @@ class Watch:
     def _resume(self) -> None:
         """What earlier watches did; the move of a bad recording that a kill cut short is finished."""
         before = self.results / NAME
-        if before.exists() and read_identification(before).settings != settings_of_many(self.pipeline):
+        earlier = read_identification(before) if before.exists() else None
+        if earlier is not None and earlier.settings != settings_of_many(self.pipeline):
             hint = "name another folder, or run the whole archive with `labpipe run`"
             raise ConfigError("holds results of other settings", self.results, hint)
+        rig = {} if earlier is None else {**earlier.rig}
+        self._rigs_before = rig.pop(RIGS_BEFORE, 0)
+        if earlier is not None and rig != rig_entry(self.pipeline):
+            self._rigs_before += 1
+            remark = "the rig file is another than before: results that are there keep theirs"
+            self._log("changed", "", remark=remark)
+            self.tell(remark)
         written = parts(self.results)
         self._summary = sum_summaries(read_summary(part) for part in written)
         rows = [row for part in written for row in read_part(part, ("test", "failed")).to_pylist()]
@@ -299,7 +309,10 @@ class Watch:
 
     def _write_index(self) -> None:
         with output_folder(self.results) as folder:
-            write_identification(folder.write_path(NAME), summed_up(self.pipeline, self._summary))
+            result = summed_up(self.pipeline, self._summary)
+            if self._rigs_before:
+                result = replace(result, rig={**result.rig, RIGS_BEFORE: self._rigs_before})
+            write_identification(folder.write_path(NAME), result)
         self.publish()
 
     def _quarantine(self, test: str, reason: str) -> None:

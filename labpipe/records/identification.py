@@ -78,8 +78,10 @@ class DatasetIndex:
         )
 
 
-# The model of a line through points, of a calibration.
-STRAIGHT_LINE = "straight-line"
+# In the rig of a dataset: how many other rig files its earlier tests were made with.
+RIGS_BEFORE = "rigs_before"
+# The models of a line and of a plane through points, of a calibration.
+STRAIGHT_LINE, PLANE = "straight-line", "plane"
 
 
 @dataclass(frozen=True)
@@ -234,10 +236,10 @@ class Fit:
 
 
 def of_points(model: str) -> bool:
-    """Whether a fit of that model is a line through points, of which no noise is known and which are no
-    spectrum.
+    """Whether a fit of that model is a line or a plane through points, of which no noise is known and which
+    are no spectrum.
     """
-    return model == STRAIGHT_LINE
+    return model in (STRAIGHT_LINE, PLANE)
 
 
 @dataclass(frozen=True, kw_only=True)

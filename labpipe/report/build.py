@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from typing import Any
 
-from labpipe.display import count_text
+from labpipe.display import amount_text, count_text, per_cent
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.records.finding import NOTE, WARNING, Finding
-from labpipe.records.identification import Identification, of_points
+from labpipe.records.identification import RIGS_BEFORE, Identification, of_points
 from labpipe.records.sections import section
-from labpipe.registry import Registry, nearest
+from labpipe.registry import Registry, few, nearest
 from labpipe.report.cover import all_hold, cover_facts, result_blocks, rule_blocks, section_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.fits import fit_sections
 from labpipe.report.measurement import measurement_sections
-from labpipe.report.wording import few, fit_title
+from labpipe.report.wording import fit_title
 from labpipe.spectra.settings import FrfSettings
 
 # Name of a model or of a pipeline's section -> the function from an identification to what its results add to
@@ -33,7 +33,7 @@ LONGEST_NOTES = 1200
 # Codes of findings with which a result must not be used.
 SERIOUS = (
     "collinear", "no-convergence", "unphysical", "model-mismatch", "negative-gof", "mass", "drift",
-    "unstable-loop", "feedback",
+    "wrong-quantity", "unstable-loop", "feedback",
 )  # fmt: skip
 
 
@@ -182,6 +182,7 @@ def _notes(identification: Identification) -> tuple[Block, ...]:
 
 
 # Parts of the settings that the numbers depend on.
+SETTINGS = "Settings in SI units (Hz, s, m, N, rad)"
 SHOWN_SETTINGS = ("frf", "identify", "calibrate", "run_ups")
 
 
@@ -198,11 +199,11 @@ def provenance_sections(identification: Identification) -> tuple[Section, ...]:
         blocks.append(Table(("test", "condition", "value"), stated, "Test conditions"))
     for facts in section_facts(identification) if not blocks else ():
         blocks.append(Paragraph("; ".join(f"{what}: {which}" for what, which in facts.items()) + "."))
+    unnamed = "No rig file was named."
+    if identification.responses:
+        unnamed = f"The FRFs were given as they are; {unnamed.lower()}"
     return (
-        Section(
-            "Rig and conditions",
-            tuple(blocks) or (Paragraph("The FRFs were given as they are; no rig file was named."),),
-        ),
+        Section("Rig and conditions", tuple(blocks) or (Paragraph(unnamed),)),
         Section("Provenance", _provenance(identification)),
     )
 
@@ -220,14 +221,31 @@ def rig_blocks(identification: Identification) -> tuple[Block, ...]:
             *(entry["channel"][key] for key in ("quantity", "role", "dof")),
             entry["unit"],
             f"{entry['scale']:.6g}",
+            "; ".join(_uncertainty_text(each) for each in entry["channel"].get("uncertainties", [])),
         )
         for entry in rig.get("channels", [])
     )
     header = ("channel", "column", "quantity", "role", "dof", "recorded unit", "SI per recorded unit")
+    stated = any(row[-1] for row in rows)
+    table = (
+        Table((*header, "standard uncertainty (source)"), rows, "Channels", (6,))
+        if stated
+        else Table(header, tuple(row[:-1] for row in rows), "Channels", (6,))
+    )
+    before = rig.get(RIGS_BEFORE, 0)
+    what = f"This is the rig of the last tests; earlier ones rest on {count_text(before, 'other rig file')}."
     return (
         Paragraph(f"{rig.get('name') or 'Rig'}. {rig.get('description', '')}{mass}"),
-        Table(header, rows, "Channels", (6,)),
+        *([Paragraph(what, "warning")] if before else []),
+        table,
     )
+
+
+def _uncertainty_text(entry: Mapping[str, Any]) -> str:
+    """An uncertainty of a channel in words, as 'gain 0.5 % (sensor 7)'."""
+    of, effect = entry["uncertainty"], entry["effect"].replace("_", " ")
+    size = per_cent(of["std_error"]) if of["unit"] == "1" else amount_text(of["std_error"], None, of["unit"])
+    return f"{effect} {size} ({of['source']})"
 
 
 def _provenance(identification: Identification) -> tuple[Block, ...]:
@@ -240,7 +258,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     return (
         Table(("source file", "SHA-256"), rows, "Source files"),
         Paragraph(repeat),
-        Table(("setting", "value"), _stated_settings(settings), "Settings in SI units (Hz, s, m, N, rad)"),
+        *([Table(("setting", "value"), stated, SETTINGS)] if (stated := _stated_settings(settings)) else []),
     )
 
 

@@ -18,11 +18,12 @@ from labpipe.errors import DataError, FitError
 from labpipe.quantities import display_unit, to_display
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
+from labpipe.registry import few
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
 from labpipe.report.cover import DATES, amount_of, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
-from labpipe.report.wording import few, round_to_error, unit_text
+from labpipe.report.wording import round_to_error, unit_text
 from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend

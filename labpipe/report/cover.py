@@ -28,11 +28,12 @@ from labpipe.records.identification import (
     of_points,
 )
 from labpipe.records.sections import section
+from labpipe.registry import few
 from labpipe.report.chart import Chart, stack
 from labpipe.report.document import Block, Figure, Table
 from labpipe.report.figures import fitted_curve_figure
 from labpipe.report.fits import blocks_of_details
-from labpipe.report.wording import few, fit_title, legible, meaning
+from labpipe.report.wording import fit_title, legible, meaning
 
 # What rules without limits decide by, since ISO/IEC 17025, 7.8.6, asks for it to be stated.
 SIMPLE_ACCEPTANCE = "without limits: simple acceptance, the value alone is compared"

@@ -240,7 +240,7 @@ def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
         for parameter in fit.parameters
     )
     header, numeric = ("line", *PARAMETER_HEADER[:-1]), tuple(n + 1 for n in NUMERIC[:-1])
-    table = Table(header, rows, f"Straight lines of {fits[0].name}", numeric)
+    table = Table(header, rows, f"Slopes of {fits[0].name}", numeric)
     goodness = tuple(
         (fit.test or fit.name, f"{fit.gof.r2:.5f}", str(fit.lines), "; ".join(fit.notes)) for fit in fits
     )

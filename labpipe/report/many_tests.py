@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.arrays import FloatArray
-from labpipe.display import count_text, difference_in, two_digits, write_values
+from labpipe.display import amount_text, count_text, difference_in, two_digits, write_values
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.dataset import ManyTests, TestColumns
 from labpipe.records.finding import NOTE
-from labpipe.records.identification import DatasetIndex, Identification
+from labpipe.records.identification import DatasetIndex, Identification, RuleOutcome
+from labpipe.registry import few
 from labpipe.report.build import SHOWN_SETTINGS, rig_blocks
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, stack
 from labpipe.report.cover import all_hold, rule_blocks
 from labpipe.report.document import Block, Code, Document, Figure, Paragraph, Section, Table
-from labpipe.report.wording import few, legible
+from labpipe.report.wording import legible
 from labpipe.uncertainty.weighted import ControlLimits, control_limits
 
 Points = tuple[FloatArray, FloatArray]
@@ -112,6 +113,8 @@ def _furthest(
 # Coefficients with figures; of more, those that come first.
 MOST_CHARTED = 24
 FEWEST = 3
+# Value and error of a test without them.
+NOTHING = np.nan, np.nan
 # Of the standard deviation of normal values: the scale of their median absolute deviation.
 NORMAL_MAD = 1.4826
 MOST_OUTSIDE = 10
@@ -130,7 +133,7 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
     sections = (
         Section("Verdict", _verdict(identification, index)),
         Section("Warnings", _findings(index)),
-        *_which(tests, index),
+        *_which(tests, identification.outcomes, index),
         Section("Coefficients", (_coefficients(tests.parameters), *_left_out(tests.parameters))),
         *(Section(columns.title, _blocks(columns)) for columns in charted),
         Section("Rig", rig_blocks(identification)),
@@ -140,11 +143,12 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
     dates = sorted(
         {date for columns in tests.parameters for date in (*columns.dates[:1], *columns.dates[-1:])}
     )
+    parts = f" in {count_text(len(identification.inputs), 'file')}" if identification.inputs else ""
     facts = {
         "rig": str(identification.rig.get("name", "")),
         "recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "",
         "tests": f"{index.tests} evaluated" + (f", {index.failed} failed" if index.failed else ""),
-        "results": f"{index.rows} rows in {count_text(len(identification.inputs), 'file')} below dataset/",
+        "results": f"{index.rows} rows{parts} below dataset/",
         "pipeline": identification.pipeline,
         "computed by": f"labpipe {identification.version}",
     }
@@ -184,15 +188,27 @@ def _findings(index: DatasetIndex) -> tuple[Block, ...]:
     return (*(warnings or [Paragraph("None in any test.", "passed")]), *notes)
 
 
-def _which(tests: ManyTests, index: DatasetIndex) -> tuple[Section, ...]:
+def _which(tests: ManyTests, outcomes: Sequence[RuleOutcome], index: DatasetIndex) -> tuple[Section, ...]:
+    broken = {outcome.rule.split()[0] for outcome in outcomes if not outcome.passed}
+    judged = [of for of in tests.parameters if f"{of.fit}.{of.parameter}" in broken and not of.term]
+    values = [(of, dict(zip(of.tests, zip(of.values, of.errors, strict=True), strict=True))) for of in judged]
+
+    def values_of(test: str) -> str:
+        shown = ((of, *by_test[test]) for of, by_test in values if np.isfinite(by_test.get(test, NOTHING)[0]))
+        return "; ".join(
+            f"{of.parameter} {amount_text(value, error if np.isfinite(error) else None, of.unit)}"
+            for of, value, error in shown
+        )
+
+    not_accepted = tuple((test, where, values_of(test), said) for test, where, said in tests.not_accepted)
     sections = []
     for heading, named, count, why in (
-        ("Tests that could not be evaluated", tests.failed, index.failed, "why"),
-        ("Tests that are not accepted", tests.not_accepted, index.not_accepted, "warnings"),
+        ("Tests that could not be evaluated", tests.failed, index.failed, ("why",)),
+        ("Tests that are not accepted", not_accepted, index.not_accepted, ("found", "warnings")),
     ):
         if named:
             more = f"; the first {len(named)} of {count}" if count > len(named) else ""
-            table = Table(("test", "conditions", why), named, f"{heading}{more}")
+            table = Table(("test", "conditions", *why), named, f"{heading}{more}")
             pages = Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE.")
             sections.append(Section(heading, (table, pages)))
     return tuple(sections)
@@ -259,7 +275,7 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
     words = "Every row of the dataset carries the digest of the recordings that it comes from. To repeat:"
     repeat = f"labpipe {identification.version}, `labpipe run {identification.pipeline} -o DIR`, with"
     return (
-        Table(("part of the dataset", "SHA-256"), rows, "Results"),
+        *([Table(("part of the dataset", "SHA-256"), rows, "Results")] if rows else []),
         Paragraph(f"{words} {repeat} the settings that identification.json states."),
         Paragraph("Settings in SI units (Hz, s, m, N, rad):"),
         Code(json.dumps(settings, indent=1)),

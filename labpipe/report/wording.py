@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from labpipe.display import unit_label, write_values
 from labpipe.distributions import student_tail
@@ -44,12 +44,6 @@ def title(name: str, unit: str) -> str:
 def round_to_error(value: float, std_error: float | None) -> str:
     """A value to the place that its standard error supports."""
     return write_values(value, std_error)[0]
-
-
-def few(texts: Sequence[str], most: int, mark: str = ", ") -> str:
-    """The first *most* of the texts, and how many more there are."""
-    more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return mark.join(texts[:most]) + more
 
 
 # Coefficients by the first part of their names and their unit, in words.

@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
-from labpipe.registry import nearest
+from labpipe.registry import few, nearest
 from labpipe.uncertainty.amounts import chance, parameter_changes, random_error
 from labpipe.uncertainty.settings import CompareSettings
 from labpipe.uncertainty.weighted import dof_of_sum
@@ -148,10 +148,9 @@ def _statement(
     corrected = f" (Holm's correction, together at most {100 * settings.level:g} % false alarms)."
     listed = [
         f"{band.parameter} {band.band_hz[0]:g}-{band.band_hz[1]:g} Hz ({chance_text(band.p_value)})"
-        for band in differing[:MOST_NAMED]
+        for band in differing
     ]
-    more = f" and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
-    named = f" They are {', '.join(listed)}{more}." if listed else ""
+    named = f" They are {few(listed, MOST_NAMED)}." if listed else ""
     missing = f" {left_out} have no standard error and are left out." if left_out else ""
     return result + corrected + named + missing
 

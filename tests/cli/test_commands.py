@@ -368,6 +368,24 @@ def test_a_report_of_an_earlier_result_goes_when_identify_gives_another(tmp_path
     assert ended.code == 2 and "--parameter: 'kk' is not in both results; did you mean 'k'?" in ended.err
 
 
+def test_two_results_that_differ_end_a_comparison_with_one_if_asked(tmp_path: Path, labpipe) -> None:
+    """Against itself, with a mass 1 % larger (k in proportion), and with a fit of another name."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    for out, extra in ((one, ()), (other, ("--set", "identify.pedestal.mass=0.7979 kg"))):
+        labpipe("run", PEDESTAL, "-o", out, "--set", "report.formats=[md]", *extra)
+    assert labpipe("compare", one, one, "--exit-code").code == 0
+    assert labpipe("compare", one, other).code == 0
+    ended = labpipe("compare", one, other, "--exit-code")
+    assert ended.code == 1 and "differs" in ended.out and not ended.err
+    assert labpipe("compare", one, other, "-p", "f_n", "--exit-code").code == 0
+    assert labpipe("compare", one, other, "-p", "k", "--exit-code").code == 1
+    result = json.loads((one / "identification.json").read_text("utf-8"))
+    del result["digest"], result["fits"][0]["parameters"][0]
+    (tmp_path / "less.json").write_text(json.dumps(result), "utf-8")
+    assert labpipe("compare", one, tmp_path / "less.json", "--exit-code").code == 1
+    assert labpipe("compare", one, tmp_path / "less.json", "-p", "c", "--exit-code").code == 0
+
+
 def test_options_of_another_kind_of_signal_are_refused(tmp_path: Path, labpipe) -> None:
     signal = ("excite", "-o", tmp_path / "s.csv")
     ended = labpipe(*signal, "--sweep", "linear", "--leave-out", "4")

@@ -8,6 +8,7 @@ import importlib
 import json
 import sys
 from dataclasses import replace
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -445,3 +446,19 @@ def test_margins_are_listed_by_fit_and_test_with_their_errors(two_tests) -> None
         (name[0], "cold", name[1], pytest.approx(0.2), pytest.approx(0.01)),
         (name[0], "warm", name[1], pytest.approx(0.3), pytest.approx(0.01)),
     ]
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [("bearing", "ball-bearing"), ("plan", "sdof"), ("damping_law", "hysteretic"), ("section", "calibrate")],
+)
+def test_the_page_names_the_class_of_an_entry(group: str, name: str) -> None:
+    """What stands in a group of `entry_points.txt` is an instance of the class on its row of the page."""
+    target = next(
+        point.load()
+        for point in entry_points(group=f"labpipe.{group}", name=name)
+        if "labpipe." in point.value
+    )
+    page = (ROOT / "docs/pages/extend/reader.md").read_text("utf-8")
+    (row,) = (line for line in page.splitlines() if f"| `labpipe.{group}` |" in line)
+    assert f"`{type(target).__name__}`" in row

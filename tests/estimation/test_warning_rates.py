@@ -87,6 +87,12 @@ CASES = (
     ),
     Case("unphysical", "sign of the response turned", of.pedestal, faulty={"settings": FREE, "sign": -1.0}),
     Case(
+        "wrong-quantity",
+        "columns of force and response swapped",
+        of.pedestal,
+        faulty={"settings": FREE, "swap": True},
+    ),
+    Case(
         "leakage", "blocks of one inverse half-power width", of.short_blocks, {"block": 8.0}, {"block": 1.25}
     ),
     *(

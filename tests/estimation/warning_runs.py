@@ -50,14 +50,18 @@ def four_dofs(seed: int, settings: FitSettings = FOUR, **rig: object) -> frozens
 
 
 def pedestal(
-    seed: int, settings: FitSettings = PEDESTAL, level: float = 1.0, sign: float = 1.0
+    seed: int, settings: FitSettings = PEDESTAL, level: float = 1.0, sign: float = 1.0, swap: bool = False
 ) -> frozenset[str]:
     """Five periods of a multisine on one mass, the noise of its sensor *level* times the usual, its response
-    times *sign*.
+    times *sign*; *swap*: each channel has the samples of the other.
     """
     rig = VirtualMagneticRig("virtual-magnetic-rig")
     rig = replace(rig, noise=replace(rig.noise, displacement=level * rig.noise.displacement))
-    response = measure(MAGNETIC_RIG.recordings(rig, seed, ("pedestal",)), PERIODIC)
+    (record,) = MAGNETIC_RIG.recordings(rig, seed, ("pedestal",))
+    used = [number for number, channel in enumerate(record.channels) if channel.role in ("input", "output")]
+    samples = record.samples.copy()
+    samples[:, used] = samples[:, used[::-1] if swap else used]
+    response = measure([replace(record, samples=samples)], PERIODIC)
     return codes(replace(response, matrix=sign * response.matrix), settings)
 
 

@@ -138,6 +138,13 @@ def test_results_with_nothing_in_common_are_refused(other: Identification) -> No
         differences(result(k=1.0), other)
 
 
+def test_tests_of_other_names_are_said() -> None:
+    (fit,) = result(k=1.0).fits
+    sides = [Identification(tuple(replace(fit, test=name) for name in names)) for names in ("ab", "cd")]
+    with pytest.raises(DataError, match=r"no fit in common \(tests: a, b; c, d\)"):
+        differences(*sides)
+
+
 def test_a_parameter_in_another_unit_is_another_parameter() -> None:
     other = result(k=1.0)
     torsion = replace(

@@ -92,6 +92,37 @@ def test_each_recording_is_worked_on_once(bench: Path, labpipe) -> None:
     assert done_in(bench)[-1] == "later/300N-3.csv" and len(parts(bench / "out")) == 2
 
 
+def test_a_changed_sensor_is_logged_and_its_tests_are_found(bench: Path, labpipe) -> None:
+    """Two sensors of .5 %, one after the other, by the source of their uncertainty."""
+    for number in (1234, 5678):
+        (bench / "rig.yaml").write_text(
+            RIG.replace("unit: um,", f"unit: um, uncertainty: {{gain: 0.5 % (source=sensor {number})}},")
+        )
+        (bench / f"runs/{number}N-9.csv").write_text(recording(20e3, seed=number))
+        assert labpipe(*arguments(bench, *ONCE)).code == 0
+    (remark,) = (
+        line["remark"]
+        for line in map(json.loads, (bench / "out" / LOG).read_text().splitlines())
+        if line["event"] == "changed"
+    )
+    assert remark == "the rig file is another than before: results that are there keep theirs"
+    assert labpipe("report", bench / "out", "-o", bench / "r.md").code == 0
+    page = (bench / "r.md").read_text("utf-8")
+    assert "This is the rig of the last tests; earlier ones rest on 1 other rig file." in page
+    assert "gain 0.5 % (sensor 5678)" in page and "*Results*" not in page
+    for _ in range(2):
+        assert labpipe(*arguments(bench, *ONCE)).code == 0
+        assert read_identification(bench / "out/identification.json").rig["rigs_before"] == 1
+    asked = ("list", bench / "out", "--fit", "direct", "-p", "k", "--source")
+    ended = labpipe(*asked, "sensor 5678")
+    assert "5678N-9.csv" in ended.out and "1234N-9.csv" not in ended.out and "100N-1.csv" not in ended.out
+    assert len(labpipe(*asked, "sensor*").out.splitlines()) == 1 + 5
+    assert labpipe("list", bench / "out", "--source", "sensor 5678").out.count("5678N-9.csv") > 1
+    ended = labpipe(*asked, "sensor 1243")
+    assert ended.code == 2
+    assert "no result has the source 'sensor 1243'; did you mean 'sensor 1234'?" in ended.err
+
+
 def test_bad_recordings_are_put_aside_with_their_reason(bench: Path, labpipe) -> None:
     (bench / "runs/400N-4.csv").write_text("t [s],force [N],y [um]\n0,1,x\n")
     (bench / "runs/test.csv").write_text(recording(18e3))

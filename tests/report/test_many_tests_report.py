@@ -109,6 +109,19 @@ def test_tests_without_a_result_are_named_with_their_number() -> None:
     assert second.caption == "Tests that are not accepted; the first 2 of 5" and second.rows == refused
 
 
+def test_a_test_that_is_not_accepted_says_what_was_found() -> None:
+    """Of the coefficient of a rule that fails, with its standard error of 2 N/m."""
+    made = columns(np.array([18.3e3, 15.0e3, np.nan]), np.arange(3.0))
+    other = replace(made, parameter="c", unit="N.s/m")
+    refused = (("t1", "preload 2 N", ""), ("t2", "preload 1 N", "drift"))
+    outcomes = (replace(FAILS, rule="direct.k >= 16 kN/m"), replace(HOLDS, rule="direct.c <= 20 kN.s/m"))
+    tests = ManyTests((made, other), (), refused)
+    shown = document(DatasetIndex(tests=3, not_accepted=2), *outcomes, tests=tests)
+    (table,) = (block for block in shown.sections[2].blocks if isinstance(block, Table))
+    assert table.header == ("test", "conditions", "found", "warnings")
+    assert [row[2] for row in table.rows] == ["k 15.0000 ± 0.0020 kN/m", ""]
+
+
 def test_a_row_has_median_scatter_and_ends_with_their_tests() -> None:
     """18, 18.1, 18.2, 18.3 and 30 kN/m: the median distance from 18.2 is .1, times 1.4826."""
     made = columns(np.array([18.3e3, 18.0e3, 30.0e3, 18.1e3, np.nan, 18.2e3]), np.arange(6.0))

@@ -1,10 +1,10 @@
-"""The section calibrate: tables of set and measured values -> straight lines with their uncertainty, and the
-range in which they hold.
+"""The section calibrate: tables of set and measured values -> straight lines and planes with their
+uncertainty, and the range in which they hold.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from labpipe.estimation.statistics import appraise, condition_number, correlatio
 from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
 from labpipe.raw_files.table import RawTable, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
-from labpipe.records.identification import STRAIGHT_LINE, Fit, Goodness
+from labpipe.records.identification import PLANE, STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
 from labpipe.records.settings import Settings, quantity, setting, text
 
@@ -30,8 +30,9 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class Line:
-    """y = slope x + intercept: values (1 or 2,) and covariance (2, 2) in this order (slope alone through the
-    origin), residual (n_point,). Units: slope [y unit / x unit], intercept and residual [y unit].
+    """y = slope x (+ slope_beside z) + intercept: values (n_p,) and covariance (n_p, n_p) in this order (no
+    intercept through the origin), residual (n_point,). Units: slopes [y unit / x unit], [y unit / z unit],
+    intercept and residual [y unit].
     """
 
     values: FloatArray
@@ -46,19 +47,29 @@ class Line:
         return float(self.values[0])
 
 
-def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> Line:
-    """Least-squares line through points x, y (n_point,) [any unit]; standard errors from the residual. R^2
-    about the mean, or about zero through the origin. Raises FitError with fewer points than parameters + 1,
-    or when x does not vary. Equation (spec-line).
+def fit_line(
+    x: FloatArray, y: FloatArray, *, through_origin: bool = False, beside: FloatArray | None = None
+) -> Line:
+    """Least-squares line through points x, y (n_point,) [any unit], or plane over x and *beside* (n_point,)
+    [any unit]; standard errors from the residual. R^2 about the mean, or about zero through the origin.
+    Raises FitError with fewer points than parameters + 1, when x does not vary, or x and *beside* only
+    together. Equation (spec-line).
     """
-    columns = x[:, None] if through_origin else np.column_stack([x, np.ones_like(x)])
+    given = [x] if beside is None else [x, beside]
+    columns = np.column_stack(given if through_origin else [*given, np.ones_like(x)])
     n_parameter = columns.shape[1]
     if x.size <= n_parameter:
-        what = f"{x.size} points cannot determine a line with its uncertainty"
+        what = (
+            f"{x.size} points cannot determine a {'line' if beside is None else 'plane'} with its uncertainty"
+        )
         raise FitError(what, hint=f"at least {n_parameter + 1} are needed")
     if not np.ptp(x) > 0:
         raise FitError("all points have the same x")
-    values, inverse = solve_scaled(columns, y)
+    try:
+        values, inverse = solve_scaled(columns, y)
+    except FitError:
+        hint = "a grid: several values of the one at each value of the other"
+        raise FitError("x and beside change together, or beside does not vary", hint=hint) from None
     residual = y - columns @ values
     dof = x.size - n_parameter
     total = float(np.sum(y**2) if through_origin else np.sum((y - y.mean()) ** 2))
@@ -68,16 +79,29 @@ def fit_line(x: FloatArray, y: FloatArray, *, through_origin: bool = False) -> L
     return Line(values, covariance, residual, r2, dof, condition)
 
 
-def curvature_p(x: FloatArray, y: FloatArray, residual: FloatArray, n_more: int) -> float | None:
-    """p-value [1] of the *residual* of a line through points x, y, all (n_point,), against that of a parabola
-    with *n_more* terms (F-test); None with too few points, or values of x. Equation (spec-curvature).
+def curvature_p(
+    x: FloatArray, y: FloatArray, residual: FloatArray, n_line: int, beside: FloatArray | None = None
+) -> float | None:
+    """p-value [1] of the *residual* of a line of *n_line* parameters through points x, y, all (n_point,),
+    against that of a parabola, of a plane beside *beside* (n_point,) against a surface of the third degree
+    (F-test); None with too few points, or values of x. Equation (spec-curvature).
     """
-    if x.size < 5 or np.unique(x).size < 3:
+    centred = [(given - given.mean()) / np.ptp(given) for given in ([x] if beside is None else [x, beside])]
+    degrees = [min(2 if beside is None else 3, np.unique(given).size - 1) for given in centred]
+    powers = [power for power in np.ndindex(*(degree + 1 for degree in degrees)) if sum(power) <= 3]
+    columns = np.prod(
+        [
+            np.power.outer(given, powers_of)
+            for given, powers_of in zip(centred, np.transpose(powers), strict=True)
+        ],
+        axis=0,
+    )
+    dof = x.size - columns.shape[1]
+    n_more = columns.shape[1] - n_line
+    if dof < 2 or n_more < 1 or max(degrees) < 2:
         return None
-    centred = (x - x.mean()) / np.ptp(x)
-    columns = np.column_stack([centred**2, centred, np.ones_like(x)])
     bent = y - columns @ solve_scaled(columns, y)[0]
-    least, dof = float(bent @ bent), x.size - 3
+    least = float(bent @ bent)
     if least <= (ROUNDING * float(np.linalg.norm(y))) ** 2:
         return None
     return f_tail(max(float(residual @ residual) / least - 1, 0.0) * dof / n_more, n_more, dof)
@@ -115,23 +139,35 @@ def linear_range_of_curve(x: FloatArray, y: FloatArray, tolerance: float) -> flo
     return float(x[lines[last].stop - 1] - x[0])
 
 
-def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatArray, y: FloatArray) -> Fit:
-    """A line through x, y (n_point,) as a Fit: slope and intercept [*units*], a warning for curved points."""
-    names = ("slope", "intercept")[: line.values.size]
+def line_fit(
+    name: str,
+    test: str,
+    line: Line,
+    units: Sequence[str],
+    x: FloatArray,
+    y: FloatArray,
+    beside: FloatArray | None = None,
+) -> Fit:
+    """A line through x, y (n_point,), or plane over x and *beside*, as a Fit: slopes and intercept [*units*],
+    a warning for curved points.
+    """
+    names = ("slope", "intercept") if beside is None else ("slope", "slope_beside", "intercept")
     std_errors = np.sqrt(np.diag(line.covariance))
     columns = zip(names, units, line.values.tolist(), std_errors.tolist(), strict=False)
     parameters = tuple(appraise(*column, line.dof, None) for column in columns)
-    n, p_value = x.size, curvature_p(x, y, line.residual, 3 - line.values.size)
+    n, p_value = x.size, curvature_p(x, y, line.residual, line.values.size, beside)
     findings: tuple[Finding, ...] = ()
     if p_value is not None and p_value < CURVATURE_P:
         share = 100 * np.max(np.abs(line.residual)) / np.ptp(y)
-        bent, through = ("bend", "") if line.values.size == 2 else ("bend, or miss zero", " through zero")
-        what = f"the points {bent} ({chance_text(p_value)} for a straight line{through})"
+        whole = line.values.size == len(names)
+        bent, through = ("bend", "") if whole else ("bend, or miss zero", " through zero")
+        shape = "straight line" if beside is None else "plane"
+        what = f"the points {bent} ({chance_text(p_value)} for a {shape}{through})"
         what += f"; the largest deviation is {share:.2g} % of the range"
         findings = (Finding("model-mismatch", what),)
     return Fit(
         name=name,
-        model=STRAIGHT_LINE,
+        model=STRAIGHT_LINE if beside is None else PLANE,
         estimator="ls",
         band_hz=(0.0, 0.0),
         lines=n,
@@ -148,7 +184,9 @@ def line_fit(name: str, test: str, line: Line, units: tuple[str, str], x: FloatA
 
 @dataclass(frozen=True)
 class CalibrationSettings(Settings):
-    """One straight-line fit: a table's column *y* over its column *x*, once per value of *group* if given."""
+    """One straight-line fit: a table's column *y* over its column *x*, once per value of *group* if given; a
+    plane over *x* and *beside* where there is such a column.
+    """
 
     table: str = setting("file", "table file (CSV), relative to this file", file_kind="path", into="path")
     x: str = setting("text", "column of the known or set value")
@@ -156,6 +194,8 @@ class CalibrationSettings(Settings):
     _: KW_ONLY
     x_unit: str = text("unit of x; default: in brackets behind the column's name")
     y_unit: str = text("unit of y; default: in brackets behind the column's name")
+    beside: str = text("column of a second set value: a plane y = slope x + slope_beside beside + intercept")
+    beside_unit: str = text("unit of beside; default: in brackets behind the column's name")
     group: str = text("column by which the table falls into several lines")
     x_power: int = setting(
         "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
@@ -167,9 +207,17 @@ class CalibrationSettings(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("tolerance", "x_power")
-        if len({self.x, self.y, self.group}) < 3:
-            name = "y" if self.x == self.y else "group"
-            raise SettingError(name, f"'{getattr(self, name)}' is a column of the line already")
+        taken = {self.x}
+        for name in ("y", "beside", "group"):
+            if (column := getattr(self, name)) in taken:
+                raise SettingError(name, f"'{column}' is a column of the line already")
+            taken |= {column} - {""}
+        if self.beside and self.tolerance is not None:
+            raise SettingError(
+                "tolerance", "the linear range is that of a line", "leave out `tolerance`, or `beside`"
+            )
+        if self.beside_unit and not self.beside:
+            raise SettingError("beside_unit", "there is no column `beside`")
 
 
 # Values (n_row,) [SI] of a column and their unit.
@@ -187,28 +235,36 @@ def calibrate(calibrations: Iterable[CalibrationSettings]) -> list[Fit]:
 
 def _fits_of_table(settings: CalibrationSettings) -> list[Fit]:
     table = open_table(settings.path)
-    names = [name for name in (settings.x, settings.y, settings.group) if name]
+    names = [name for name in (settings.x, settings.y, settings.beside, settings.group) if name]
     check_columns(table, names)
-    columns = np.concatenate(list(table.chunks(names))).T
-    x = _column(table, settings.x, columns[0], settings.x_unit, settings.x_power)
-    y = _column(table, settings.y, columns[1], settings.y_unit)
+    columns = dict(zip(names, np.concatenate(list(table.chunks(names))).T, strict=True))
+    x = _column(table, settings.x, columns[settings.x], settings.x_unit, settings.x_power)
+    y = _column(table, settings.y, columns[settings.y], settings.y_unit)
+    known = [x]
+    if settings.beside:
+        known.append(_column(table, settings.beside, columns[settings.beside], settings.beside_unit))
     if settings.group:
-        group = _column(table, settings.group, columns[2])
-        return _group(settings, x, y, group, settings.group in table.units)
-    fit = _line_of(settings, "", x, y)
+        group = _column(table, settings.group, columns[settings.group])
+        return _group(settings, known, y, group, settings.group in table.units)
+    fit = _line_of(settings, "", known, y)
     if settings.tolerance is None:
         return [fit]
     return [_with_range(fit, linear_range_of_curve(x[0], y[0], settings.tolerance), x[1])]
 
 
-def _line_of(settings: CalibrationSettings, test: str, x: Column, y: Column) -> Fit:
-    per = "" if x[1] == "1" else f"/({x[1]})" if "/" in x[1] else f"/{x[1]}"
+def _line_of(settings: CalibrationSettings, test: str, known: list[Column], y: Column) -> Fit:
+    (x, _), beside = known[0], known[1][0] if len(known) > 1 else None
+    units = [f"{y[1]}{_per(unit)}" for _, unit in known]
     try:
-        line = fit_line(x[0], y[0], through_origin=settings.through_origin)
+        line = fit_line(x, y[0], through_origin=settings.through_origin, beside=beside)
     except FitError as error:
         error.what = f"{test}: {error.what}" if test else error.what
         raise
-    return line_fit(settings.name, test, line, (y[1] + per, y[1]), x[0], y[0])
+    return line_fit(settings.name, test, line, (*units, y[1]), x, y[0], beside)
+
+
+def _per(unit: str) -> str:
+    return "" if unit == "1" else f"/({unit})" if "/" in unit else f"/{unit}"
 
 
 def _with_range(fit: Fit, reach: float, unit: str) -> Fit:
@@ -216,7 +272,9 @@ def _with_range(fit: Fit, reach: float, unit: str) -> Fit:
     return replace(fit, parameters=(*fit.parameters, stated))
 
 
-def _group(settings: CalibrationSettings, x: Column, y: Column, group: Column, share: bool) -> list[Fit]:
+def _group(
+    settings: CalibrationSettings, known: list[Column], y: Column, group: Column, share: bool
+) -> list[Fit]:
     (positions, unit), label = group, settings.group.split(" [")[0]
     values, fits = np.unique(positions), []
     for value in values:
@@ -224,7 +282,8 @@ def _group(settings: CalibrationSettings, x: Column, y: Column, group: Column, s
         # A share is read in percent, the number of a sensor as it stands.
         at = f"{value:.12g} {unit}" if unit != "1" else f"{100 * value:.12g} %" if share else f"{value:.12g}"
         test = f"{label} {at}"
-        fits.append(_line_of(settings, test, (x[0][inside], x[1]), (y[0][inside], y[1])))
+        of_value = [(column[inside], of) for column, of in known]
+        fits.append(_line_of(settings, test, of_value, (y[0][inside], y[1])))
     if settings.tolerance is None:
         return fits
     slopes = np.array([fit.parameter("slope").value for fit in fits])
@@ -266,7 +325,7 @@ def si_name(unit: Unit) -> str:
 
 
 CALIBRATE = PipelineSection(
-    words="One entry per straight line to be fitted.",
+    words="One entry per straight line, or plane, to be fitted.",
     settings=CalibrationSettings,
     named=True,
     standalone=True,

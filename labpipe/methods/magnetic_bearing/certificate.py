@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import probability_text
 from labpipe.distributions import normal_quantile
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -23,7 +24,6 @@ from labpipe.methods.magnetic_bearing.limits import (
     sound,
     undecided_limits,
     verdict_of,
-    words,
 )
 from labpipe.methods.magnetic_bearing.loop import margins
 from labpipe.methods.magnetic_bearing.loop_fit import (
@@ -36,7 +36,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
     loop_fit,
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
-from labpipe.methods.magnetic_bearing.measured_margins import measured_margins
+from labpipe.methods.magnetic_bearing.measured_margins import measured_margins, unsure_crossings
 from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
 from labpipe.records.comparison import Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
@@ -241,10 +241,25 @@ def certificate(
         statement=statement,
         curves=_curves(matrix, loops, model),
         correlations=() if model is None else model.fit.correlations,
-        findings=(*_leaking(loops, peaks), *_findings(worst, model)),
+        findings=(*_leaking(loops, peaks), *_hidden_crossings(matrix, loops), *_findings(worst, model)),
         budgets=tuple(filter(None, budgets)),
         undecided=tuple(unsure),
     )
+
+
+def _hidden_crossings(
+    matrix: sensitivity.SensitivityMatrix, loops: Sequence[sensitivity.MeasuredSensitivity]
+) -> Iterator[Finding]:
+    """A finding where noise hides whether a loop crosses |L| = 1, as at a mode of the rotor."""
+    frequency, dof = matrix.response.frequency, matrix.response.covariance_dof
+    for name, loop in zip(matrix.loops, loops, strict=True):
+        for low, high in unsure_crossings(frequency, loop.transfer, dof):
+            what = (
+                f"|L| of {name} passes 1 between {low:g} and {high:g} Hz, but not beyond its noise: no "
+                "measured margin counts what is there, and true ones may be smaller. Inject more there, or "
+                "record longer"
+            )
+            yield Finding("weak-injection", what)
 
 
 @dataclass(frozen=True)
@@ -366,7 +381,9 @@ def _zone_limit(
     if worst.at_edge and whose == "measured" and probability > 1 - acceptance.confidence:
         why = f"the largest |S| lies at the edge of the band, {worst.frequency:.4g} Hz: widen the band"
         return Limit("zone", None, f"{zone}; zone {acceptance.zone} or better not judged, since {why}", why)
-    return Limit("zone", probability, f"{zone}; zone {acceptance.zone} or better with {words(probability)}")
+    return Limit(
+        "zone", probability, f"{zone}; zone {acceptance.zone} or better with {probability_text(probability)}"
+    )
 
 
 def _decrement_limits(acceptance: LoopCertificateSettings, model: FittedBearing | None) -> list[Limit]:
@@ -384,7 +401,11 @@ def _decrement_limits(acceptance: LoopCertificateSettings, model: FittedBearing 
         probability_below(-loop.amounts[name], loop.error(name), -limit) for name in loop.modes()
     )
     of_mode = f"log decrement {loop.amounts[least]:.3g} of mode {least.rpartition('_')[2]}"
-    return [Limit("log_decrement", probability, f"{of_mode}; above {limit:g} with {words(probability)}")]
+    return [
+        Limit(
+            "log_decrement", probability, f"{of_mode}; above {limit:g} with {probability_text(probability)}"
+        )
+    ]
 
 
 def _curves(

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.arrays import ComplexArray
+from labpipe.display import probability_text
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.estimation.diagnostics import MISMATCH_P
@@ -110,12 +111,6 @@ def probability_below(value: float, error: float, limit: float) -> float:
         return float(value < limit)
     distance = abs(limit - value) / error
     return 1 - normal_tail(distance) if value <= limit else normal_tail(distance)
-
-
-def words(probability: float) -> str:
-    if probability > 0.999:
-        return "over 99.9 %"
-    return "under 0.1 %" if probability < 0.001 else f"{100 * probability:.3g} %"
 
 
 def verdict_of(limits: Sequence[Limit], confidence: float) -> str:
@@ -236,7 +231,7 @@ def _limit(acceptance: LoopCertificateSettings, amounts: Sequence[Parameter], wh
     probability = min(
         probability_below(-amount.value, amount.full_error or 0.0, -limit) for amount in amounts
     )
-    return Limit(DECREMENT, probability, f"{text} with {words(probability)}")
+    return Limit(DECREMENT, probability, f"{text} with {probability_text(probability)}")
 
 
 # Powers of ten by which a signal of a wrong unit or sensitivity is off.

@@ -28,6 +28,8 @@ LINE, PARABOLA, QUARTIC = 2, 3, 5
 ENOUGH = 0.05
 # Standard errors within which all between two crossings is zero: both are one, crossed by noise.
 SURE = 3.0
+# Factor by which |L| passes 1 where a crossing that noise hides is named.
+PASSES = 1.5
 # Standard errors that a gain margin is away from zero where it is told.
 TELLING = 4.0
 # Standard errors below that limit at which a loop is told in fewer than one of five thousand tests.
@@ -193,6 +195,26 @@ def measured_margins(
         amount = with_error(shown, units[name], *of) if name in units else factor(shown, *of)
         found.append((amount, moved))
     return found
+
+
+def unsure_crossings(
+    frequency: FloatArray, transfer: tuple[ComplexArray, FloatArray], dof: float
+) -> list[tuple[float, float]]:
+    """Bands [Hz] in which |L| passes 1 and comes back by its smoothed values, by a factor of PASSES and more,
+    but nowhere surely, so that no margin counts it. *transfer*: L (n_line,) [1] with its variance (n_line,)
+    [1] at *frequency* (n_line,) [Hz]; *dof*: complex degrees of freedom behind the variance.
+    """
+    if frequency.size < LOCAL:
+        return []
+    none: ComplexArray = np.zeros((0, frequency.size), np.complex128)
+    course = ResponseCourse(2 * np.pi * frequency, *transfer, none, dof)
+    smooth = course.by(course.omega, course.smoother(), slice(None))
+    size = np.abs(smooth.values)
+    return [
+        (float(frequency[first]), float(frequency[last + 1]))
+        for first, last in _groups(smooth, size - 1)[0]
+        if np.max(np.abs(np.log(size[first + 1 : last + 1])), initial=0.0) > np.log(PASSES)
+    ]
 
 
 def factor(name: str, value: float, error: float, quantile: float) -> Parameter:

@@ -476,10 +476,17 @@ def sensitivity_matrix(
     themselves, S = H_after. ConfigError where there is not one excitation per loop, FitError without a
     covariance or where both sides are one signal. Equation (mag-sensitivity-matrix).
     """
-    rows, ahead = (
-        [chosen_ports(response.outputs, (name,), "response")[0] for name in names]
-        for names in (after, before)
-    )
+    try:
+        rows, ahead = (
+            [chosen_ports(response.outputs, (name,), "response")[0] for name in names]
+            for names in (after, before)
+        )
+    except ConfigError as error:
+        entry = "under recordings: {file: FILE, channels: {r: {role: input}, u: {role: output}}}"
+        error.hint = (
+            f"{error.hint}; the excitation is the one input, signals of the loop are outputs, {entry}"
+        )
+        raise
     n, n_input = len(rows), len(response.inputs)
     if n_input != n:
         hint = "role: input for the excitations alone, one per loop"

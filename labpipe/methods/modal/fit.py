@@ -401,7 +401,7 @@ def _first_modes(lines: FrfLines, modal: ModalSettings) -> tuple[lscf.Diagram, l
         what, hint = f"no order up to {highest} has a pole", "choose another band"
         if not modal.poles:
             what = f"no pole returns in a quarter of the orders up to {highest}"
-            hint = f"{hint}, or name `poles` by hand"
+            hint = f"{hint}, name `poles` by hand, or look whether force and response are swapped"
         raise FitError(f"{what}: no mode stands out of the noise of this band", hint=hint)
     start = start.at(np.sort(np.unique(start.values, return_index=True)[1]))
     if start.values.size < len(modal.poles):

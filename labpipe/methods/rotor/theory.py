@@ -19,7 +19,7 @@ from labpipe.errors import FitError
 from labpipe.methods.rotor import response
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.methods.rotor.shaft import NodeSupport
-from labpipe.report.chart import Axis, Panel, curve, stack, upright
+from labpipe.report.chart import Axis, Panel, curve, look, stack, upright
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 
 # Difference of ln |lambda| between neighbouring speeds that makes two modes hardly one.
@@ -419,15 +419,16 @@ def rotor_document(theory: RotorTheory) -> Document:
         ("critical speed", "damping", "whirl"), tuple(crossing_rows(theory)), "Where a mode meets the speed"
     )
     blocks: list[Block] = [Paragraph(line) for line in sentences(theory)]
-    shown = [n for n in range(theory.frequency.shape[1]) if (theory.frequency[:, n] < 2.5 * speed[-1]).any()]
+    highest = float(2 * speed[-1])
+    shown = [n for n in range(theory.frequency.shape[1]) if (theory.frequency[:, n] < highest).any()]
     frequencies, decrements = (
-        [curve(f"mode {n + 1}", speed, values[:, n], n % 6) for n in shown]
+        [curve(f"mode {n + 1}", speed, values[:, n], *look(n)) for n in shown]
         for values in (theory.frequency, drawn_decrements(theory.log_decrement))
     )
     across = Axis("speed", "Hz")
     campbell = Panel(
         across,
-        Axis("natural frequency", "Hz", low=0.0, high=float(2 * speed[-1])),
+        Axis("natural frequency", "Hz", low=0.0, high=highest),
         (*frequencies, curve("1x", speed, speed, -1, "--"), upright(operating)),
     )
     damping = Panel(across, Axis("log decrement"), (*decrements, upright(operating)))
@@ -441,7 +442,7 @@ def rotor_document(theory: RotorTheory) -> Document:
     ]
     if theory.fine is not None and theory.amplitude is not None:
         responses = [
-            curve(f"node {node}", theory.fine, 1e6 * theory.amplitude[:, n], n % 6)
+            curve(f"node {node}", theory.fine, 1e6 * theory.amplitude[:, n], *look(n))
             for n, node in enumerate(theory.nodes)
         ]
         panel = Panel(

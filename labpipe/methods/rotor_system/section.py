@@ -7,10 +7,17 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.display import amount_text, number, plain_text, with_error
+from labpipe.display import amount_text, number, plain_text, probability_text, with_error
 from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision, drawn_decrements
+from labpipe.methods.rotor_system.build import APPARENT
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
-from labpipe.methods.rotor_system.records import SENSORS, CriticalResult, RotorSystemResult, VibrationResult
+from labpipe.methods.rotor_system.records import (
+    SENSORS,
+    CriticalResult,
+    RotorSystemResult,
+    SmallErrorResult,
+    VibrationResult,
+)
 from labpipe.methods.rotor_system.settings import RotorSystemSettings
 from labpipe.project.judging import CompareNumber, compare_warnings
 from labpipe.project.rules import Rule
@@ -18,7 +25,7 @@ from labpipe.records.finding import NORMAL, WARNING, Finding, Parameter, of_leve
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
 from labpipe.records.sections import PipelineSection
 from labpipe.registry import nearest
-from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, stack, upright
+from labpipe.report.chart import Axis, Panel, Series, curve, dots, level, look, stack, upright
 from labpipe.report.document import Block, Figure, Paragraph, Section, Table
 
 NAME = "rotor_system"
@@ -187,8 +194,7 @@ def result_blocks(result: RotorSystemResult) -> tuple[Block, ...]:
     blocks += [Paragraph(line) for line in (*_weights(result), *_next(result))]
     if result.tests:
         blocks += [unknown_table(result), budget_table(result), test_table(result)]
-        small = ((error.name.replace("_", " "), error) for error in result.small_errors)
-        rows = tuple((name, number(error.declared, 3), number(error.found, 3)) for name, error in small)
+        rows = tuple(_small_error_row(error) for error in result.small_errors)
         header = ("small errors of", "declared", "found")
         blocks.append(Table(header, rows, "Standard deviations", (1, 2)))
     blocks.append(campbell_figure(result))
@@ -226,8 +232,18 @@ def prediction_table(result: RotorSystemResult) -> Table:
     return Table(header, tuple(rows), "What follows for the rotor", (1,))
 
 
+# Factor and unit of standard deviations that are not shares.
+OF_SMALL_ERRORS = {"apparent_mass": (APPARENT, "kg"), "phase": (1.0, "rad")}
+
+
+def _small_error_row(error: SmallErrorResult) -> tuple[str, str, str]:
+    factor, unit = OF_SMALL_ERRORS.get(error.name, (100.0, "%"))
+    name = f"{error.name.replace('_', ' ')} [{unit}]"
+    return name, number(factor * error.declared, 3), number(factor * error.found, 3)
+
+
 def _sure(probability: float) -> str:
-    return f"probability {100 * probability:.0f} %, {decision(probability)}"
+    return f"probability {probability_text(probability)}, {decision(probability)}"
 
 
 def _text(value: float, error: float, unit: str) -> str:
@@ -299,7 +315,7 @@ def campbell_figure(result: RotorSystemResult) -> Figure:
     def modes(values: FloatArray, errors: FloatArray) -> list[Series]:
         low, high = values - NORMAL * errors, values + NORMAL * errors
         bands = [(low[:, n], high[:, n]) for n in range(values.shape[1])]
-        return [curve(f"mode {n + 1}", speed, values[:, n], n % 6, band=bands[n]) for n in shown]
+        return [curve(f"mode {n + 1}", speed, values[:, n], *look(n), band=bands[n]) for n in shown]
 
     frequencies = modes(diagram.frequency, diagram.frequency_error)
     frequencies.append(curve("1x", speed, diagram.speed, -1, "--"))

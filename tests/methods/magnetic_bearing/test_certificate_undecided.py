@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.display import probability_text
 from labpipe.methods.magnetic_bearing.limits import (
     Limit,
     LoopCertificateSettings,
     decrement_certificate,
     probability_below,
     verdict_of,
-    words,
 )
 from labpipe.project.judging import judged_part, whole_outcome
 from labpipe.project.rules import Rule
@@ -300,4 +300,4 @@ def test_the_chance_to_lie_below_two(value: float, error: float, probability: fl
 
 
 def test_chances_in_words() -> None:
-    assert [words(p) for p in (0.9995, 0.977, 0.0005)] == ["over 99.9 %", "97.7 %", "under 0.1 %"]
+    assert [probability_text(p) for p in (0.9995, 0.977, 0.0005)] == ["over 99.9 %", "97.7 %", "under 0.1 %"]

@@ -58,7 +58,7 @@ def test_sweep_curves_are_the_coefficients_in_panels_by_unit() -> None:
         "k by,by",
     }
     assert lines["k z,z"].y == pytest.approx([each.stiffness[2, 2] / 1e3 for each in found])
-    assert "range over one ball passage" in figures["stiffness"].caption
+    assert "range over one passage of a rolling element" in figures["stiffness"].caption
 
 
 def test_damping_has_its_figure_and_asymmetric_matrices_show_both_sides() -> None:

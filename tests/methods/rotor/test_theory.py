@@ -20,6 +20,7 @@ from labpipe.methods.rotor.theory import (
     margin_above,
     margin_below,
     peaks,
+    rotor_document,
     rotor_theory,
     sentences,
 )
@@ -268,3 +269,16 @@ def test_a_peak_beside_a_dip_lies_where_the_response_is_largest():
             level = -top.fun / np.sqrt(2)
             exact = optimize.brentq(lambda speed, level=level: amplitude(speed) - level, top.x, top.x + side)
             assert end == pytest.approx(exact, rel=1e-5)
+
+
+def test_the_campbell_diagram_names_the_modes_that_reach_it():
+    """Of modes at .5, 1.9 and 2.2 times the highest speed the last lies above the axis, which ends at 2."""
+    theory = rotor_theory(load_rotor(LAVAL), np.linspace(5.0, 60.0, 5))
+    ratios = np.array([0.5, 1.9, 2.2])
+    frequency = theory.speed[-1] * np.tile(ratios, (theory.speed.size, 1))
+    theory = replace(theory, frequency=frequency, log_decrement=0.1 + 0 * frequency, whirl=1 + 0 * frequency)
+    (figure,) = (block for block in rotor_document(theory).sections[1].blocks[:1])
+    campbell, damping = figure.graphic.panels
+    for panel in (campbell, damping):
+        assert [name for one in panel.series if (name := one.name).startswith("mode")] == ["mode 1", "mode 2"]
+    assert campbell.y.high == 2 * theory.speed[-1]

@@ -105,11 +105,14 @@ def test_rules_address_it_and_the_report_shows_it(result) -> None:
         "What follows for the rotor",
         "the share of its variance that would go if one source were known",
         "small errors of bearings",
+        "apparent mass [kg]",
+        "phase [rad]",
         "without this test larger by",
         "least log decrement at 4200 rpm (mode of ",
         "no test tells" if "no test tells" in page else "declared",
     ):
         assert words in page
+    assert "probability 100 %" not in page and "probability 0 %" not in page
     assert found.sections["rotor_system"].measured == tuple((0.0, f) for f in (44, 60, 80, 95, 105))
     assert "squares: what tests in the bearings measured" in page and "amplitude there [um]" in page
     # Exported as well, where every number has its row.
