@@ -103,10 +103,10 @@ def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
 
 
 def modal_findings(
-    estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError], beside: Sequence[float] = ()
+    estimate: ModalEstimate, p_noise: float, errors: Mapping[int, ModelError]
 ) -> tuple[Finding, ...]:
     """Warnings: no convergence, negative damping, a residual beyond the measured noise or alike on
-    neighbouring lines, for which modes *beside* the band [Hz] may stand.
+    neighbouring lines.
     """
     warnings = []
     if not estimate.refined.converged:
@@ -128,16 +128,9 @@ def modal_findings(
     if what:
         reasons = [f"mode {number}: {error.likely}" for number, error in errors.items()]
         likely = f"Most likely {'; '.join(reasons)}. " if reasons else ""
-        cure = "Name a missing mode in `poles`, or narrow the band"
-        if beside:
-            places = ", ".join(f"{frequency:.4g} Hz" for frequency in beside)
-            likely = (
-                f"Most likely a mode just beyond the band, at about {places}, whose flank reaches into it. "
-            )
-            cure = "Widen the band until it holds that mode, or end it further away"
         message = (
             f"{what}. {likely}Values and intervals of each mode include what the model leaves unexplained "
-            f"in its band. {cure}"
+            "in its band. Name a missing mode in `poles`, or narrow the band"
         )
         warnings.append(Finding("model-mismatch", message))
     return tuple(warnings)
@@ -198,6 +191,8 @@ def modal_notes(
 
 SINGLE = "with one reference a mode with a node there is not seen, and modes of the same frequency are one"
 TURNED = "the forces are the points of the shapes, the responses the references (reciprocity is assumed)"
+# Share of the band by which lines on either side are looked at as well.
+BEYOND = 0.15
 RECEPTANCE = "receptance"
 # Lines per order of the denominator below which a polynomial follows the noise.
 LINES_PER_ORDER = 4
@@ -341,7 +336,7 @@ def _beyond(
     """
     whole = band[1] - band[0]
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
-    more = max(model_error.BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
+    more = max(BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
     measured = measured_part(response, rows, columns, lines)
     return _turn(measured) if sides.forces_move else measured
@@ -476,9 +471,6 @@ def _report(
             moving=moving,
             driving=model_error.strongest_points(refined, sides.driving_points),
         )
-    beside: Sequence[float] = ()
-    if judged and misfit:
-        beside = model_error.modes_beside(sides.lines, whole, estimate.chi2_reduced)
     loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are not a fault of the modes.
     named = errors if misfit or not shown else {}
@@ -504,7 +496,7 @@ def _report(
         correlation=matrix,
         converged=refined.converged,
         iterations=refined.steps,
-        findings=(*modal_findings(estimate, p_noise, named, beside), *loaded, *mass_findings(parameters)),
+        findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(measured.inputs), sides.forces_move),
     )
 

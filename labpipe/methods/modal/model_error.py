@@ -10,22 +10,13 @@ import numpy as np
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
 from labpipe.estimation.derived import without_intervals
-from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
-from labpipe.methods.modal import poles as lscf
-from labpipe.methods.modal.likelihood import (
-    FrfLines,
-    Refined,
-    ResidualTerms,
-    leaking_functions,
-    pseudo_inverse,
-    remaining,
-)
+from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
 from labpipe.records.finding import Parameter
@@ -256,10 +247,6 @@ TERMS, OTHER_TERMS = 2, (1, 3)
 OTHER_BANDS, LEAST_WIDTHS, INSIDE = (0.8, 1.25), 2.5, 0.5
 # Half of the half-power widths to which a band is widened that is too narrow to judge its mode.
 HALF_JUDGED = 2.0
-# Share of the band by which lines and poles on either side are looked at as well.
-BEYOND = 0.15
-# Half-power widths beyond the band from which a mode is sought there.
-FLANK = 1.5
 # Share of the evidence for a sound model below which a residual of unknown noise shows a model error.
 SOUND_SHARE = 0.05
 # A point sees a mode whose frequency it tells to this share of its half-width, and its damping to this share.
@@ -318,30 +305,6 @@ def model_errors(
         apart = _find_apart(unmoved or mean_of_points(*points), number, values)
         errors_by_mode[number] = ModelError(mixed, rows, apart, unloaded=bool(unmoved))
     return errors_by_mode
-
-
-def modes_beside(lines: FrfLines, done: lscf.Completed, chi2_reduced: float | None) -> list[float]:
-    """Frequency [Hz] of the mode beside the band that stands for a misfit, else none: a pole sought from
-    FLANK half-power widths beyond either end that stays within BEYOND of the band and takes half of what is
-    left over noise, or leaves noise where its size is not known.
-    """
-    low, high, refined = float(lines.omega[0]), float(lines.omega[-1]), done.refined
-    more, decay = BEYOND * (high - low), float(np.median(-refined.poles.real))
-    most = 0.0 if chi2_reduced is None else lines.matrix.size * float(np.log(chi2_reduced))
-    beside = []
-    for end, edge in (
-        (low - FLANK * 2 * decay, slice(0, FEWEST)),
-        (high + FLANK * 2 * decay, slice(-FEWEST, None)),
-    ):
-        flank = remaining(done.terms, refined)[edge].reshape(-1, lines.matrix.shape[2])
-        participation = np.linalg.svd(flank, full_matrices=False)[2][:1]
-        poles = np.append(refined.poles, -decay + 1j * end)
-        again, terms = lscf.refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
-        at, fall = abs(again.poles[-1]), lscf.criterion(refined, done.terms) - lscf.criterion(again, terms)
-        is_noise = chi2_reduced is not None or lscf.whiteness(remaining(terms, again), ()) >= MISMATCH_P
-        if (low - more < at < low or high < at < high + more) and fall > max(lscf.SUPPORT, most) and is_noise:
-            beside.append((fall, float(at / (2 * np.pi))))
-    return [frequency for _, frequency in sorted(beside)[-1:]]
 
 
 def _find_apart(

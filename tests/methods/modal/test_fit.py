@@ -177,7 +177,7 @@ def test_noise_that_all_points_share_counts_where_its_covariance_is_too_large(
     """Noise of the force at nine points of a beam in closed form: errors over standard errors of 16 draws
     have the mean square 1, where independent points would be three times as sure.
     """
-    monkeypatch.setattr(whole_covariance, "MOST_ENTRIES", 0)
+    monkeypatch.setattr(whole_covariance, "MOST_PRODUCTS", 0)
     ratios = []
     for seed in range(16):
         clean, rng = beam(seed), np.random.default_rng(seed)

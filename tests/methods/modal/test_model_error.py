@@ -201,7 +201,9 @@ def test_leakage_of_random_data_is_no_model_error() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(("gain", "named"), [(0.0, True), (0.1, False)])
-def test_a_mode_just_beyond_the_band_is_named(known: bool, gain: float, named: bool) -> None:
+def test_a_mode_just_beyond_the_band_is_no_mismatch_and_a_gain_curve_is(
+    known: bool, gain: float, named: bool
+) -> None:
     """Three modes in closed form; a band to 160.5 Hz ends 1.3 half-power widths below the one at 163 Hz. A
     gain curve in the middle of a band that ends far from it is no such mode.
     """
@@ -218,6 +220,5 @@ def test_a_mode_just_beyond_the_band_is_named(known: bool, gain: float, named: b
     measured = FrequencyResponse(frequency, h + noise, outputs, (Port("f", "f", "1"),), covariance=covariance)
     band = (65.0, 160.5 if named else 130.0)
     (fit,) = identify(measured, FitSettings("modal", band=band))
-    (message,) = (finding.message for finding in fit.findings if finding.code == "model-mismatch")
-    assert ("Most likely a mode just beyond the band, at about 163" in message) == named
-    assert ("a mode just beyond" in message) == named
+    assert any(finding.code == "model-mismatch" for finding in fit.findings) != named
+    assert any("the mode at 163 Hz, beyond the band" in note for note in fit.notes) == named
