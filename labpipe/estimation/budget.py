@@ -33,6 +33,7 @@ from labpipe.estimation.weights import Weights, fit_weights, has_noise, weight_u
 from labpipe.records import uncertain
 from labpipe.records.finding import Contribution, Finding, IntervalParts, Parameter
 from labpipe.records.identification import Fit
+from labpipe.records.response import Port
 from labpipe.records.settings import ESTIMATE
 
 # Standard errors from a minimum below which an estimate is the minimum.
@@ -105,7 +106,7 @@ def _slopes(
 
 
 # Change of chi-square below which stated numbers stay where they are, and most steps on the way.
-NEGLIGIBLE, MOST_ROUNDS = 1e-2, 5
+NEGLIGIBLE, MOST_ROUNDS = 1e-2, 8
 
 
 def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], Stated]:
@@ -113,7 +114,8 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     still change of its residual.
 
     Gauss-Newton of |r|^2 / s + |t|^2 over the changes t of the numbers, which far above the noise is not
-    linear. Of unknown noise as it was made. FitError as `solve_scaled`.
+    linear: steps that do not lower it are halved. Of unknown noise as it was made. FitError as
+    `solve_scaled`.
     """
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
@@ -131,18 +133,23 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
         followed = along if number == 0 else followed
         across = residual - jacobian @ along
         squares = float(across @ across + noise * at @ at)
-        if not squares < before:
+        if squares < before:
+            before, origin, base = squares, at, values - along + followed
+            stated = Stated(_residual_changes(moved, sources, weights), at)
+            likely = moved, uncertainties, stated
+            move = pulls_of(across, stated, jacobian, inverse, noise).likely - at
+            change = move @ stated.changes
+            step = inverse @ (jacobian.T @ change)
+            left = change - jacobian @ step
+            if not is_noisy or left @ left < NEGLIGIBLE:
+                break
+        elif squares < before + NEGLIGIBLE:
             break
-        before, stated = squares, Stated(_residual_changes(moved, sources, weights), at)
-        likely = moved, uncertainties, stated
-        move = pulls_of(across, stated, jacobian, inverse, noise).likely - at
-        change = move @ stated.changes
-        step = inverse @ (jacobian.T @ change)
-        left = change - jacobian @ step
-        if not is_noisy or left @ left < NEGLIGIBLE:
-            break
-        at = at + move
-        moved = _move(case, sources, at, values - step - along + followed)
+        else:
+            # Beyond where the numbers act linearly.
+            move, step = move / 2, step / 2
+        at = origin + move
+        moved = _move(case, sources, at, base - step)
     return likely
 
 
@@ -325,8 +332,22 @@ def _misalign(number: int, sign: float, case: Case, error: float) -> Case:
         ports[number] = replace(ports[number], angle=None if angle is None else angle + error)
         changed: dict[str, Any] = {side: tuple(ports)}
         return replace(case, setup=replace(case.setup, **changed))
-    matrix = case.measured.matrix
+    measured, matrix = case.measured, case.measured.matrix
+    ports = list(measured.outputs)
+    ports[number] = replace(ports[number], angle=float(ports[number].angle or 0.0) + error)
+    moved = replace(measured, outputs=tuple(ports))
+    stated, before, after = (_plane(of.outputs) for of in (case.setup, measured, moved))
+    if len(stated) == 2 == len(ports):
+        # Two sensors tell the motion whatever their directions, so that it is turned without a first order.
+        matrix = stated @ np.linalg.solve(after, before @ np.linalg.solve(stated, matrix))
+        return replace(case, measured=replace(moved, matrix=matrix))
     return _with_matrix(case, matrix + error * turn(matrix, number, across, of_forces=False))
+
+
+def _plane(ports: Sequence[Port]) -> FloatArray:
+    """Directions (n_port, 2) [1] of the ports that have one."""
+    angles = np.array([port.angle for port in ports if port.angle is not None], float)
+    return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def _add_error(matrix_error: uncertain.MatrixError, whole: ComplexArray, case: Case, error: float) -> Case:

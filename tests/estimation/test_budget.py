@@ -231,6 +231,35 @@ def test_a_sensor_that_points_elsewhere_reads_the_motion_across(rng) -> None:
         assert fit.budget.change_by("x.dof", name) == pytest.approx(expected, abs=0.02 * combined)
 
 
+@pytest.mark.parametrize("away", [(-1.3, 1.1, 1.6, 0.2), (1.2, -0.8, -1.1, 0.9), (-0.5, 1.5, 0.4, 1.3)])
+def test_directions_stated_to_four_degrees_contradict_no_sound_data(away: tuple[float, ...]) -> None:
+    """Sensors and forces at angles d read and push along (cos d, sin d), exactly; *away* in standard
+    uncertainties, whose squares, 0.5 % of H, are far above noise of .1 %: noise alone is left, by chi-square.
+    """
+    rng, w, size = np.random.default_rng(7), 2 * np.pi * np.arange(20.0, 90.0, 0.5), np.radians(4.0)
+    stiffness, damping = np.array([[1e5, 1e4], [-1e4, 1.4e5]]), np.array([[60.0, 5.0], [4.0, 80.0]])
+    h = np.linalg.inv(stiffness - w[:, None, None] ** 2 * 0.9 * np.eye(2) + 1j * w[:, None, None] * damping)
+    true = np.array([0.0, np.pi / 2, 0.0, np.pi / 2]) - size * np.array(away)
+    along = np.column_stack([np.cos(true), np.sin(true)])
+    h = along[:2] @ h @ along[2:].T
+    std = 1e-3 * np.max(np.abs(h))
+    noisy = h + std * (rng.standard_normal(h.shape) + 1j * rng.standard_normal(h.shape)) / np.sqrt(2)
+    ports = [
+        Port(name, name, name[-1], angle, (ChannelUncertainty("direction", Uncertainty(name, size, "rad")),))
+        for name, angle in zip(("x", "y", "fx", "fy"), (0.0, np.pi / 2) * 2, strict=True)
+    ]
+    response = FrequencyResponse(
+        w / (2 * np.pi),
+        noisy,
+        tuple(ports[:2]),
+        tuple(ports[2:]),
+        covariance=diagonal_covariance(np.full(h.shape, std**2)),
+    )
+    (fit,) = identify(response, FitSettings("rotor-2dof", mass=0.9, name="r"))
+    assert {finding.code for finding in fit.findings} <= {"insignificant"}
+    assert fit.gof.chi2_reduced == pytest.approx(1, abs=4 * np.sqrt(2 / fit.dof))
+
+
 def test_a_single_sensor_says_that_it_does_not_know_what_it_reads_across(rng) -> None:
     turned = ChannelUncertainty("direction", Uncertainty("x.dof", np.radians(0.5), "rad"))
 

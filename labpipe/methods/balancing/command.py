@@ -81,6 +81,11 @@ def sentences(result: Balanced) -> Iterator[str]:
             "weights are known less well (`weight_uncertainty`). All intervals count "
             f"{result.widened:.3g} times the stated noise"
         )
+    elif not knowledge.dof:
+        yield (
+            "note: no run is to spare, so that nothing shows whether readings scatter as stated, and all "
+            "intervals rest on the stated noise: one of the runs once more would show it"
+        )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     least = result.next_runs[best]
     if least < WORTHWHILE * residual.rms:

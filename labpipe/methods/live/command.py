@@ -146,7 +146,8 @@ def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool
         last, shown = None, 0.0
         for last in session.updates():
             if as_json:
-                click.echo(json.dumps(last.as_json(), allow_nan=False))
+                line = {**last.as_json(), "without_scatter_of_hits": _without_scatter(session)}
+                click.echo(json.dumps(line, allow_nan=False))
             if last.stop or time.monotonic() - shown > PICTURE:
                 show(last)
                 shown = time.monotonic()
@@ -237,15 +238,19 @@ def _echo_by_hand(session: Session) -> None:
             echo(f"  {name}  {low:.6g} ... {high:.6g}")
 
 
-def _echo_left_out(session: Session) -> None:
-    """Say what a run adds to these intervals of hits, each of which it takes for a repeat."""
+def _without_scatter(session: Session) -> list[str]:
+    """Fits whose intervals a run widens by the scatter of hits, each of which it takes for a repeat."""
     from labpipe.methods.live.bench import Bench
 
     bench, frf = session.bench, session.pipeline.frf
     if not isinstance(bench, Bench) or frf is None or frf.excitation != "impact" or frf.damping_window:
-        return
+        return []
     each = [fit.settings.name for fit in bench.fits if fit.settings.repeats == "each"]
-    if each and len(bench.layout.inputs) == 1:
+    return each if len(bench.layout.inputs) == 1 else []
+
+
+def _echo_left_out(session: Session) -> None:
+    if each := _without_scatter(session):
         what = "labpipe run takes each hit for a repeat and adds their scatter beyond noise to its intervals"
         echo(f"{', '.join(each)}: {what}, which these leave out; repeats: pool leaves it out there as well")
 

@@ -34,7 +34,7 @@ from labpipe.methods.modal.likelihood import (
     refine_lines,
 )
 
-# Largest number of products that J^T J of one step takes: about a minute.
+# Largest number of products that J^T J of one step takes: 35 s on one core at 2.8e10 products a second.
 MOST_PRODUCTS = 1e12
 # Lines whose covariance has no inverse, as a share of all, that may have their variances instead.
 FEW_SINGULAR = 0.05

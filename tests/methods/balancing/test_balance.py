@@ -509,6 +509,7 @@ def test_readings_that_scatter_and_runs_that_would_not_pay_are_said(labpipe, tmp
     # numbers twice that, at two places.
     assert chi2["dof"] == 4 and chi2["value"] == pytest.approx(4 * 0.1**2 / (0.01**2 + 0.011**2), rel=1e-6)
     assert f"scatter more than was stated (chi-square {chi2['value']:.3g} of 4)" in ended.out
+    assert "no run is to spare" not in ended.out
     runs = [{**run, "name": f"{run['name']} {number}"} for number in range(20) for run in tree["runs"]]
     (tmp_path / "b.yaml").write_text(yaml.safe_dump({**tree, "runs": runs, "noise": "1 um"}))
     ended = labpipe("balance", tmp_path / "b.yaml")
@@ -584,3 +585,12 @@ def test_at_most_so_much_unbalance_is_left():
         chosen = best_weights(known.square)
         held += (np.abs(u + chosen) <= residual_of(known, chosen, noise).unbalance).tolist()
     assert 0.90 < np.mean(held) < 0.99
+
+
+def test_runs_without_one_to_spare_rest_on_the_stated_noise(labpipe, tmp_path):
+    """Three runs of two planes determine six numbers by six: readings of twice the scatter leave no residual,
+    and a note says that nothing shows it.
+    """
+    ended = labpipe("balance", EXAMPLE, "--json", tmp_path / "b.json")
+    assert json.loads((tmp_path / "b.json").read_text())["chi2"]["dof"] == 0
+    assert "note: no run is to spare" in ended.out and "rest on the stated noise" in ended.out

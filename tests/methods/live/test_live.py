@@ -884,6 +884,9 @@ def test_intervals_of_hits_say_that_a_run_adds_their_scatter(bench, labpipe, key
     assert ("s: labpipe run takes each hit for a repeat" in said) is is_said
     (fit,) = json.loads((bench / "out" / "identification.json").read_text())["fits"]
     assert (fit["parameters"][0]["interval"]["repeats"] > 0) is is_said
+    lines = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", "--idle", "0.2", "--json").out
+    named = [json.loads(line)["without_scatter_of_hits"] for line in lines.splitlines()]
+    assert named and all(fits == (["s"] if is_said else []) for fits in named)
 
 
 @pytest.mark.parametrize(
