@@ -281,7 +281,7 @@ class FrequencyResponse:
     repeats             (n_repeat, n_frequency, n_output, n_input) complex, H of every recording alone where
                         each has all of it, or of every hit or sweep, or None; named by repeat_names
     repeat_levels       (n_repeat,) [unit of the force] r.m.s. of each recording or sweep, peak of each hit,
-                        or None; *repeats_are*: "recordings", "hits" or "sweeps"
+                        or None; *repeats_are*: "recordings", "hits", "sweeps", "realisations"
     repeat_shares       (n_repeat,) [1] of each sweep's block that are no zeros after it, or None: all of it
     """
 

@@ -491,6 +491,10 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         matrix=levels.gain,
         covariance=(_mean_of(responses, "covariance") + diagonal_covariance(distortion**2)) / m,
         distortion=distortion / np.sqrt(m),
+        # A resonance that follows the phases moves all its lines together, which no variance of a line says.
+        repeats=np.stack([response.matrix for response in responses]),
+        repeat_names=tuple(f"realisation {number}" for number in range(1, m + 1)),
+        repeats_are="realisations",
         # All were measured through the same sums.
         errors=tuple(
             replace(of_one[0], change=np.mean([error.change for error in of_one], axis=0))

@@ -370,8 +370,8 @@ def criterion(refined: Refined, terms: ResidualTerms) -> float:
 
 
 MOST_ADDED = 4
-# Modes beyond the edges of the band that are looked for.
-MOST_BESIDE = 3
+# Modes beyond the edges of the band that are looked for, one for each in most cases.
+MOST_BESIDE = 2
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
 # Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
