@@ -347,6 +347,9 @@ def reading_findings(measured: Measured, setup: Setup, estimate: Estimate) -> di
     other = setup.closed_loop or transfer_of(setup) or settings.kind.of_base or settings.sliding is not None
     if is_sound or other or measured.matrix.shape[1:] != (1, 1) or not has_noise(measured):
         return {}
+    if not (np.all(measured.omega) and np.all(measured.matrix)):
+        # 0 Hz, or nothing measured, has no inverse.
+        return {}
     force, response = measured.inputs[0].channel, measured.outputs[0].channel
     h, jw = measured.matrix, 1j * measured.omega[:, None, None]
     readings = {

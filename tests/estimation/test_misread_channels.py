@@ -5,6 +5,8 @@ The FRF of one mass in closed form, 12 kg on 2.4 MN/m with 3 % of damping, noise
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,11 +23,11 @@ RECEPTANCE = 1 / (K + 2 * ZETA * np.sqrt(K * M) * JW + M * JW**2)
 NAMES = dict(zip(DERIVATIVES, ("displacement", "velocity", "acceleration"), strict=True))
 
 
-def fitted(true: np.ndarray, form: str, seed: int = 1, **settings: object) -> Fit:
-    """The fit of an FRF that a rig file says to be of *form*."""
+def measured(true: np.ndarray, form: str, seed: int = 1) -> FrequencyResponse:
+    """An FRF that a rig file says to be of *form*."""
     scale = np.max(np.abs(true)) / 200
     noise = np.random.default_rng(seed).standard_normal((2, true.size)) * scale / np.sqrt(2)
-    response = FrequencyResponse(
+    return FrequencyResponse(
         FREQUENCY,
         (true + noise[0] + 1j * noise[1])[:, None, None],
         (Port("y", "y", "z"),),
@@ -33,7 +35,11 @@ def fitted(true: np.ndarray, form: str, seed: int = 1, **settings: object) -> Fi
         form=form,
         covariance=np.full((true.size, 1, 1), scale**2, complex),
     )
-    return identify(response, FitSettings("sdof", name="s", **settings))[0]
+
+
+def fitted(true: np.ndarray, form: str, **settings: object) -> Fit:
+    """Its fit."""
+    return identify(measured(true, form), FitSettings("sdof", name="s", **settings))[0]
 
 
 def suggestion(fit: Fit) -> str:
@@ -78,6 +84,16 @@ def test_the_antiresonance_of_a_driving_point_is_no_swapped_channel() -> None:
     for form, order in DERIVATIVES.items():
         said = suggestion(fitted(driven * JW**order, form))
         assert not said or said.endswith("or the band holds an antiresonance")
+
+
+def test_a_line_that_has_no_inverse_leaves_the_fit_as_it_was() -> None:
+    """A line at 0 Hz, or without any response. Warnings of numpy are errors here."""
+    response = measured(1 / RECEPTANCE, "receptance")
+    at_rest, dead = response.frequency.copy(), response.matrix.copy()
+    at_rest[0], dead[3] = 0.0, 0.0
+    for changed in (replace(response, frequency=at_rest), replace(response, matrix=dead)):
+        (fit,) = identify(changed, FitSettings("sdof", name="s"))
+        assert suggestion(fit) == ""
 
 
 @pytest.mark.parametrize(
