@@ -424,7 +424,13 @@ def _poles_by_hand(
         if not low <= pole <= high:
             what = f"the pole {pole:g} Hz lies outside the band"
             raise SettingError("poles", what, f"the lines go from {low:g} to {high:g} Hz")
-    return lscf.nearest_modes(equations, 2 * np.pi * np.sort(modal.poles), highest)
+    order = np.argsort(modal.poles)
+    omega = 2 * np.pi * np.array(modal.poles)[order]
+    nearest = lscf.nearest_modes(equations, omega, highest)
+    if not modal.ratios:
+        return nearest
+    ratios = np.array(modal.ratios)[order]
+    return replace(nearest, values=omega * (-ratios + 1j * np.sqrt(1 - ratios**2)))
 
 
 def _parameters(

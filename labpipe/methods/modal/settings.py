@@ -43,6 +43,8 @@ class ModalSettings(Settings):
         default="",
     )
     structure: Geometry | None = None
+    # Damping ratios [1] at which named poles begin, where the fit of all repeats tells them.
+    ratios: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.order[1] < max(LEAST_ORDER, self.order[0]):
@@ -60,9 +62,13 @@ def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:
 
 
 def _repeat_settings(settings: FitSettings, fits: Sequence[Fit]) -> FitSettings:
-    # A recording alone is fitted with the modes of all together, so that these keep their numbers.
-    poles = tuple(p.value for fit in fits for p in fit.parameters if p.name.startswith("f_n_"))
-    return replace(settings, model_settings=replace(settings.model_settings, poles=poles))
+    # A recording alone is fitted from the modes of all together, so that these keep their numbers: the poles
+    # of its own diagram that are nearest may be noise.
+    values = {p.name: p.value for fit in fits for p in fit.parameters}
+    numbers = [name.removeprefix("f_n_") for name in values if name.startswith("f_n_")]
+    poles = tuple(values[f"f_n_{number}"] for number in numbers)
+    ratios = tuple(values.get(f"zeta_{n}", values.get(f"eta_{n}", 0.0) / 2) for n in numbers)
+    return replace(settings, model_settings=replace(settings.model_settings, poles=poles, ratios=ratios))
 
 
 MODAL = ModelKind(

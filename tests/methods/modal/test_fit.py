@@ -673,3 +673,32 @@ def test_residual_terms_do_not_stand_for_a_close_weak_mode(lines: int, seed: int
     assert len(found) == 2 and abs(max(found) - min(found)) == pytest.approx(abs(apart), rel=0.15)
     number = 1 if apart > 0 else 2
     assert within(fit, f"f_n_{number}", first, 3) and within(fit, f"zeta_{number}", zeta, 3)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_noisy_repeat_is_fitted_from_the_modes_of_all(seed: int) -> None:
+    """Four modes in closed form, noise of one repeat as large as the median FRF: its own diagram has poles of
+    noise nearer to a frequency than the mode's. Of 10 such tests 11 of 40 modes
+    had no mean of repeats.
+    """
+    rng, frequency = np.random.default_rng(seed), np.linspace(60, 300, 500)[:, None]
+    f_n, zeta = np.array([90.0, 150.0, 161.0, 240.0]), np.array([0.02, 0.025, 0.03, 0.02])
+    modes = -(frequency**2) / (f_n**2 - frequency**2 + 2j * zeta * f_n * frequency)
+    h = (modes @ [1.0, 0.6, -0.8, 1.0])[:, None, None]
+    std, shape = float(np.median(np.abs(h))), (5, *h.shape)
+    repeats = h + std * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+    response = FrequencyResponse(
+        frequency[:, 0],
+        np.mean(repeats, axis=0),
+        (Port("a", "a", "z"),),
+        (Port("f", "f", "z"),),
+        covariance=diagonal_covariance(np.full(h.shape, std**2 / 5)),
+        form="accelerance",
+        repeats=repeats,
+        repeat_names=tuple("12345"),
+    )
+    (fit,) = identify(response, FitSettings("modal"))
+    for number, truth in enumerate(f_n, start=1):
+        stated = fit.parameter(f"f_n_{number}")
+        assert stated.repeats is not None and stated.repeats.used >= 4
+        assert stated.ci95 is not None and stated.ci95[0] < truth < stated.ci95[1]
