@@ -138,10 +138,15 @@ def _look(path: Path, touch: Touch, seconds: int) -> int:
             return subprocess.run(command, timeout=seconds * PATIENCE, check=False).returncode
         except subprocess.TimeoutExpired:
             return -signal.SIGTERM
-    child = os.fork()
-    if child == 0:
-        os._exit(_read_within(path, touch, seconds))
-    return _ending(child, seconds * PATIENCE)
+    import tempfile
+
+    # A child that crashes leaves its temporary files behind: they go with this folder.
+    with tempfile.TemporaryDirectory(prefix="labpipe-") as folder:
+        child = os.fork()
+        if child == 0:
+            tempfile.tempdir = folder
+            os._exit(_read_within(path, touch, seconds))
+        return _ending(child, seconds * PATIENCE)
 
 
 def _ending(child: int, seconds: float) -> int:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import datetime
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -264,10 +265,14 @@ def test_more_samples_than_an_mdf_file_can_hold_are_refused_at_once(tmp_path: Pa
             open_table(tmp_path / "r.mf4")
 
 
-def test_what_a_library_prints_of_a_damaged_file_is_not_shown(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_what_a_library_prints_and_leaves_of_a_damaged_file_is_not_there(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A channel ##CN whose data stand far behind those of its sample (byte offset at 92)."""
+    """A channel ##CN whose data stand far behind those of its sample (byte offset at 92), where the library
+    crashes with a temporary folder open.
+    """
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     content = mdf(tmp_path / "r.mf4")
     channel = content.rindex(b"##CN")
     content[channel + 92 : channel + 96] = (2**31).to_bytes(4, "little")
@@ -275,6 +280,7 @@ def test_what_a_library_prints_of_a_damaged_file_is_not_shown(
     with pytest.raises(DataError, match="not a readable MDF file"):
         whole(tmp_path / "r.mf4")
     assert capfd.readouterr() == ("", "")
+    assert not list((tmp_path / "temporary").iterdir())
 
 
 def test_damaged_files_are_refused_in_one_line(tmp_path: Path) -> None:
