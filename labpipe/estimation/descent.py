@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import FitError
 
 # Condition number up to which the products of columns tell the factor to about half of all digits.
@@ -118,23 +118,23 @@ class Linearisation:
 def linearise_problem(problem: SquareSum, parameters: FloatArray) -> Linearisation:
     """The linearisation at *parameters* (n_parameter,) [parameter units] from residual and Jacobian."""
     rows = problem.jacobian(parameters), problem.residual(parameters)
-    return linearise_blocks(lambda: [rows], parameters.size)
+    return linearise_blocks(lambda: [(np.arange(parameters.size), *rows)], parameters.size)
 
 
 def linearise_blocks(
-    blocks: Callable[[], Iterable[tuple[FloatArray, FloatArray]]], n_parameter: int
+    blocks: Callable[[], Iterable[tuple[IntArray, FloatArray, FloatArray]]], n_parameter: int
 ) -> Linearisation:
-    """The linearisation from *blocks* of rows of the Jacobian (n_row, n_parameter) [1/parameter unit] and of
-    the residual (n_row,) [-], of which one at a time is held; they are gone through again where products are
-    too inexact (QR of the triangle so far above the next rows).
+    """The linearisation from *blocks*: places (n,) of the parameters that move some rows, these rows of the
+    Jacobian (n_row, n) [1/parameter unit] and of the residual (n_row,) [-]. One block at a time is held; they
+    are gone through again where products are too inexact (QR of the triangle so far above the next rows).
     """
     products: FloatArray = np.zeros((n_parameter, n_parameter))
     projected: FloatArray = np.zeros(n_parameter)
     chi2, n_equation = 0.0, 0
-    for jacobian, residual in blocks():
+    for places, jacobian, residual in blocks():
         with np.errstate(over="ignore", invalid="ignore"):
-            products += jacobian.T @ jacobian
-        projected += jacobian.T @ residual
+            products[np.ix_(places, places)] += jacobian.T @ jacobian
+        projected[places] += jacobian.T @ residual
         chi2 += float(residual @ residual)
         n_equation += residual.size
     factor = triangle_of_products(products)
@@ -146,9 +146,10 @@ def linearise_blocks(
     lengths = np.sqrt(products.diagonal())
     lengths[lengths == 0] = 1.0
     joint: FloatArray = np.empty((0, n_parameter + 1))
-    for jacobian, residual in blocks():
-        rows = np.vstack([joint, np.column_stack([jacobian / lengths, residual])])
-        joint = np.asarray(np.linalg.qr(rows, mode="r"))
+    for places, jacobian, residual in blocks():
+        rows = np.zeros((residual.size, n_parameter + 1))
+        rows[:, places], rows[:, -1] = jacobian / lengths[places], residual
+        joint = np.asarray(np.linalg.qr(np.vstack([joint, rows]), mode="r"))
     above = joint[:n_parameter]
     return Linearisation(above[:, :-1], above[:, -1], lengths, chi2, n_equation)
 
@@ -186,10 +187,11 @@ def _damped_step(
     problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float
 ) -> tuple[FloatArray | None, float]:
     n = values.size
-    right_side = np.concatenate([-linear.projected, np.zeros(n)])
+    above = np.column_stack([linear.triangle, -linear.projected])
     for _ in range(MAX_DAMPING_STEPS):
-        joint = np.vstack([linear.triangle, np.sqrt(damping) * np.eye(n)])
-        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / linear.scale
+        # Damping gives it full rank: no singular values are needed.
+        joint = np.asarray(np.linalg.qr(np.vstack([above, np.sqrt(damping) * np.eye(n, n + 1)]), mode="r"))
+        step = np.linalg.solve(joint[:n, :n], joint[:n, n]) / linear.scale
         if problem.chi2(values + step) < linear.chi2:
             return step, max(damping / 10, 1e-15)
         damping *= 10

@@ -277,7 +277,7 @@ def add_moved_modes(
     refined = done.refined
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
         return lines, done, (), ()
-    judged = [pair for chain in _chains(refined) if len(chain) > 1 for pair in _move(lines, refined, chain)]
+    judged = [pair for chain in _chains(refined) for pair in _move(lines, refined, chain)]
     merging = [(chain, mode) for chain, mode in judged if not mode.instead]
     undecided = tuple(mode for _, mode in judged if mode.instead)
     if not merging and not (moving and done.p_noise < MISMATCH_P):

@@ -98,6 +98,14 @@ class ModalReceptance:
             free[ends[1] : ends[2], 0] = False
         return free.ravel()
 
+    def places_of(self, output: int) -> IntArray:
+        """Places (n,) among the parameters of those that move the FRFs of one *output*."""
+        places = np.where(self.free, np.cumsum(self.free) - 1, -1)
+        ends = 2 * self.n_mode * np.array([self.n_input, self.n_input + self.n_output])
+        common, *own = np.split(places, ends)
+        moving = np.concatenate([common, *(of.reshape(self.n_output, -1)[output] for of in own)])
+        return moving[moving >= 0]
+
     @cached_property
     def basis(self) -> ComplexArray:
         """Residual terms of the receptance, (n_line, n_term) [m/N per factor]."""
@@ -188,33 +196,54 @@ class ModalRows:
 
     problem: OutputError[ModalReceptance]
     values: FloatArray
+    given: PoleFunctions | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
-        n_line, n_output, n_input = self.problem.measured.matrix.shape
-        return n_line, n_output * n_input, self.values.size
+        model = self.problem.model
+        return self.problem.measured.omega.size, model.n_output * model.n_input, self.values.size
 
     @cached_property
-    def _functions(self) -> PoleFunctions:
+    def functions(self) -> PoleFunctions:
+        """Those of the poles at *values* on all lines: *given*, where they are known."""
         model = self.problem.model
-        return model.terms.lines.functions(model.split(self.values)[0])
+        return self.given or model.terms.lines.functions(model.split(self.values)[0])
 
     def __getitem__(self, lines: slice, /) -> ComplexArray:
-        slopes = self.problem.model.slopes(self.values, self._functions, lines)
+        slopes = self.problem.model.slopes(self.values, self.functions, lines)
         return -np.sqrt(2.0) * white_columns(self.problem.weights, lines, slopes.transpose(1, 2, 3, 0))
 
     def linearise(self) -> Linearisation:
         """The linearisation there, block by block."""
-        n_line, _, n_parameter = self.shape
-        residual = complex_rows(self.problem.residual(self.values), n_line)
+        residual = complex_rows(self.problem.residual(self.values), self.shape[0])
 
-        def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
-            for lines in line_blocks(self):
-                sides = self[lines].reshape(-1, n_parameter), residual[lines].ravel()
-                jacobian, rest = (np.concatenate([side.real, side.imag]) for side in sides)
-                yield jacobian, rest
+        def blocks() -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+            for part, places, elements in self._parts():
+                for lines in line_blocks(part):
+                    sides = part[lines].reshape(-1, places.size), residual[lines, elements].ravel()
+                    jacobian, rest = (np.concatenate([side.real, side.imag]) for side in sides)
+                    yield places, jacobian, rest
 
-        return linearise_blocks(blocks, n_parameter)
+        return linearise_blocks(blocks, self.values.size)
+
+    def _parts(self) -> Iterator[tuple[ModalRows, IntArray, slice]]:
+        """These rows, or where the noise of outputs is independent those of each, which shapes and terms of
+        the others do not move; with the places of their parameters, and their elements.
+        """
+        model, weights = self.problem.model, self.problem.whitener
+        assert isinstance(weights, np.ndarray)
+        n_output, n_input = model.n_output, model.n_input
+        blocks = weights.reshape(-1, n_output, n_input, n_output, n_input)
+        blocks = np.einsum("loiok->olik", blocks)
+        if np.count_nonzero(blocks) < np.count_nonzero(weights):
+            yield self, np.arange(self.values.size), slice(None)
+            return
+        one = replace(model, n_output=1)
+        for output, block in enumerate(blocks):
+            places = model.places_of(output)
+            problem = OutputError(self.problem.measured, one, block)
+            elements = slice(output * n_input, (output + 1) * n_input)
+            yield ModalRows(problem, self.values[places], self.functions), places, elements
 
     def project(self, changes: ComplexArray) -> FloatArray:
         """J^T W dH (n_parameter, n_change) [parameter units inverse] of *changes* dH (n_change, n_line,
