@@ -187,11 +187,10 @@ def _damped_step(
     problem: SquareSum, values: FloatArray, linear: Linearisation, damping: float
 ) -> tuple[FloatArray | None, float]:
     n = values.size
-    above = np.column_stack([linear.triangle, -linear.projected])
+    right_side = np.concatenate([-linear.projected, np.zeros(n)])
     for _ in range(MAX_DAMPING_STEPS):
-        # Damping gives it full rank: no singular values are needed.
-        joint = np.asarray(np.linalg.qr(np.vstack([above, np.sqrt(damping) * np.eye(n, n + 1)]), mode="r"))
-        step = np.linalg.solve(joint[:n, :n], joint[:n, n]) / linear.scale
+        joint = np.vstack([linear.triangle, np.sqrt(damping) * np.eye(n)])
+        step = np.linalg.lstsq(joint, right_side, rcond=None)[0] / linear.scale
         if problem.chi2(values + step) < linear.chi2:
             return step, max(damping / 10, 1e-15)
         damping *= 10
