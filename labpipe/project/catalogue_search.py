@@ -45,13 +45,7 @@ from labpipe.records.identification import ListedParameter
 from labpipe.registry import list_names, nearest
 from labpipe.uncertainty.amounts import count_once, matrix_of
 from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.weighted import (
-    ControlLimits,
-    WeightedFit,
-    control_limits,
-    curvature_text,
-    straight_trend,
-)
+from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
 
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
@@ -362,23 +356,12 @@ class ParameterSeries:
     @property
     def line(self) -> WeightedFit | None:
         """The weighted line; None where values, errors or differences of the condition are missing."""
+        errors = np.array([row.random_error for row in self.rows], np.float64)
+        changes = matrix_of([json.loads(row.changes) for row in self.rows])
         try:
-            return straight_trend(self.condition, self.values, *self._errors)
+            return straight_trend(self.condition, self.values, errors, changes)
         except FitError:
             return None
-
-    @property
-    def _errors(self) -> tuple[FloatArray, FloatArray]:
-        errors = np.array([row.random_error for row in self.rows], np.float64)
-        return errors, matrix_of([json.loads(row.changes) for row in self.rows])
-
-    @property
-    def curvature(self) -> str:
-        """What the line does not hold, as of `curvature_text`; empty without a line."""
-        line = self.line
-        return (
-            "" if line is None else curvature_text(self.condition, self.values, *self._errors, line.values[0])
-        )
 
     @property
     def limits(self) -> ControlLimits | None:

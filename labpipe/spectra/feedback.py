@@ -37,9 +37,8 @@ FEWEST_LINES = 1000
 LAGS = range(2, 21)
 # Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
-# Share of the band over which lines fade out: all, so that an accelerance or a stiffness reaches one lag
-# before the force and no further. Share of the record at its ends.
-TAPER, ENDS = 1.0, 0.1
+# Share of the record over which it fades at its ends.
+ENDS = 0.1
 # Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
 # times the noise's standard deviation that hits reach; times its power down to which hits excite.
 PIECE, SILENT, STRUCK, CLEAR = 64, 3.0, 10.0, 4.0
@@ -211,10 +210,11 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
 
 
 def _fade(w: FloatArray, first: int) -> FloatArray:
-    """Weights of lines at *w*: in from line *first* to twice that, out over TAPER of the band."""
-    upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
+    """Weights of lines at *w*: in from line *first* to twice that, out over all of the band, so that an
+    accelerance or a stiffness reaches one lag before the force and no further.
+    """
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
-    return upper * 0.5 * (1 - np.cos(np.pi * rising))
+    return 0.25 * (1 + np.cos(w)) * (1 - np.cos(np.pi * rising))
 
 
 def _level(u: ComplexArray) -> FloatArray:

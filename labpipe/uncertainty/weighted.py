@@ -35,6 +35,7 @@ class WeightedFit:
     besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*:
     the part of *covariance* by errors in common, which no scatter shows. *known*: what the errors alone make
     of *covariance*. *behind*: degrees of freedom of errors that were estimated from scatter themselves.
+    *curved*: what a straight trend does not hold, as of `curvature_text`.
     """
 
     values: FloatArray
@@ -46,6 +47,7 @@ class WeightedFit:
     shared: FloatArray
     known: FloatArray
     behind: float = np.inf
+    curved: str = ""
 
     @property
     def inflated(self) -> bool:
@@ -339,7 +341,8 @@ def straight_trend(
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
-    return weighted_fit(columns, values, errors, changes)
+    fit = weighted_fit(columns, values, errors, changes)
+    return replace(fit, curved=curvature_text(condition, values, errors, changes, fit.values[0]))
 
 
 def curvature_text(
