@@ -37,9 +37,11 @@ FEWEST_LINES = 1000
 LAGS = range(2, 21)
 # Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
-# Share of the band over which lines fade out: all, so that an accelerance or a stiffness reaches one lag
-# before the force and no further. Share of the record at its ends.
-TAPER, ENDS = 1.0, 0.1
+# Share of the record over which it fades at its ends.
+ENDS = 0.1
+# Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
+# times the noise's standard deviation that hits reach; times its power down to which hits excite.
+PIECE, SILENT, STRUCK, CLEAR = 64, 3.0, 10.0, 4.0
 # Lines to either side over which spectra are averaged, order of the filter that takes resonances out.
 HALF_WIDTH, ORDER = 12, 20
 # The excited band ends where the force's power falls to the first share within a quarter more frequency, but
@@ -159,14 +161,16 @@ def chance_of_order(forces: FloatArray, responses: FloatArray) -> float:
     n_input = forces.shape[1]
     # Lines are last in memory, as everywhere below.
     both = np.vstack([forces.T, responses.T])
+    both = both - np.mean(both, axis=1, keepdims=True)
     taper = _tukey(both.shape[1])
-    spectra = fft.rfft((both - np.mean(both, axis=1, keepdims=True)) * taper)[:, 1:]
+    spectra = fft.rfft(both * taper)[:, 1:]
     spectra = spectra[np.any(spectra != 0, axis=1)].T
+    noise = _noise_of_hits(both, n_input) * np.sum(taper**2)
     scale = float(np.sum(taper**4) * taper.size / np.sum(taper**2) ** 2)
     # Bands tell of lags where there are enough lines, and not the lower part of the band is missing.
     bands = dict.fromkeys(
         (first, last)
-        for first, last in _excited_bands(spectra[:, :n_input], spectra[:, n_input:])
+        for first, last in _excited_bands(spectra[:, :n_input], spectra[:, n_input:], noise)
         if last >= FEWEST_LINES and first <= LOWEST_EDGE * last
     )
     chances = [p_value for band in bands for p_value in _chances_in(spectra, n_input, band, scale)]
@@ -206,10 +210,11 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
 
 
 def _fade(w: FloatArray, first: int) -> FloatArray:
-    """Weights of lines at *w*: in from line *first* to twice that, out over TAPER of the band."""
-    upper = 0.5 * (1 + np.cos(np.maximum(w - np.pi * (1 - TAPER), 0.0) / TAPER))
+    """Weights of lines at *w*: in from line *first* to twice that, out over all of the band, so that an
+    accelerance or a stiffness reaches one lag before the force and no further.
+    """
     rising = np.clip(np.arange(w.size) / max(first, 1) - 1, 0.0, 1.0) if first else np.ones(w.size)
-    return upper * 0.5 * (1 - np.cos(np.pi * rising))
+    return 0.25 * (1 + np.cos(w)) * (1 - np.cos(np.pi * rising))
 
 
 def _level(u: ComplexArray) -> FloatArray:
@@ -246,10 +251,33 @@ def _chance_of_lags(
     return float(special.chdtrc(before.size - slow.shape[1], white @ white))
 
 
-def _excited_bands(u: ComplexArray, y: ComplexArray) -> list[tuple[int, int]]:
+def _noise_of_hits(both: FloatArray, n_input: int) -> FloatArray:
+    """Power by sample (n_line, n_input) [SI] of the noise of hits, the first of the signals *both*
+    (n_signal, n_sample) [SI], between them: what no response is coherent with. 0 of other forces.
+    """
+    window, n = np.hanning(PIECE + 2)[1:-1], both.shape[1]
+    pieces = both[:, : n // PIECE * PIECE].reshape(both.shape[0], -1, PIECE)
+    noise = np.zeros((n // 2, n_input))
+    for i, force in enumerate(pieces[:n_input]):
+        square = np.mean(force**2, axis=1)
+        silent = square <= SILENT * np.median(square)
+        if np.max(np.abs(force)) > STRUCK * np.sqrt(np.mean(square[silent])):
+            parts = fft.rfft(pieces[:, silent] * window)
+            power = np.mean(np.abs(parts) ** 2, axis=1)
+            crossed = np.abs(np.mean(parts[n_input:] * parts[i].conj(), axis=1)) ** 2
+            coherent = np.max(crossed / np.maximum(power[n_input:], np.finfo(float).tiny), axis=0)
+            alone = (power[i] - coherent) / np.sum(window**2)
+            noise[:, i] = np.interp(np.arange(1, n // 2 + 1) / n, np.arange(alone.size) / PIECE, alone)
+    return noise
+
+
+def _excited_bands(u: ComplexArray, y: ComplexArray, noise: FloatArray) -> list[tuple[int, int]]:
     n = u.shape[0]
     edges = np.unique(np.linspace(0, n, COARSE_BANDS + 1).astype(int))
     coarse = np.add.reduceat(np.abs(u) ** 2, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    # Beyond, H1 falls with the force's share of its spectrum, and what is even in time comes before as after.
+    above = np.arange(coarse.shape[0])[:, None] > np.argmax(coarse, axis=0)
+    coarse[above & (coarse < CLEAR * noise[edges[:-1]])] = 0.0
     coarse = coarse / np.maximum(np.max(coarse, axis=0), np.finfo(float).tiny)
     coherence = np.add.reduceat(_largest_coherence(u, y), edges[:-1]) / np.diff(edges)
     bands = []

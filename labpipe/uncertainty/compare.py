@@ -26,7 +26,14 @@ from labpipe.uncertainty.amounts import chance, from_log, relative_change
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, group_of, select_fits
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
-from labpipe.uncertainty.weighted import WeightedFit, dof_of_sum, repeatability, weighted_fit, weighted_mean
+from labpipe.uncertainty.weighted import (
+    WeightedFit,
+    curvature_text,
+    dof_of_sum,
+    repeatability,
+    weighted_fit,
+    weighted_mean,
+)
 
 # Trend of a parameter over a condition: weighted straight line or power law.
 
@@ -122,10 +129,18 @@ def _comparison(
     p_value = fit.p_of(1)
     second = [chance("second_p_value", fit.p_of(2))] if campaign.settings.second else []
     sure = p_value < campaign.settings.level
-    verdict = "no trend" if not sure else "rising" if fit.values[1] > 0 else "falling"
+    x, values, per, scale = campaign.condition, campaign.value, np.ones_like(campaign.value), fit.values[0]
+    if campaign.settings.law == "power":
+        x, values, per, scale = np.log(x), np.log(values), values, 1.0
+    errors = campaign.std_error / np.abs(per), campaign.common / per
+    curved = "" if campaign.settings.second else curvature_text(x, values, *errors, scale)
+    verdict = (
+        ("curved" if curved else "no trend") if not sure else "rising" if fit.values[1] > 0 else "falling"
+    )
     fits = "" if fit.p_value is None else f"; the law fits the points with {display.chance_text(fit.p_value)}"
     statement = f"{law}: {verdict} ({display.chance_text(p_value)}){fits}."
     if fit.inflated:
+        statement += f" The points are {curved}." if curved else ""
         statement += " The points scatter more than their errors, which are enlarged accordingly."
     stated = (*amounts, chance("p_value", p_value), *second, chance("scatter_p", fit.p_value))
     comparison = campaign.comparison(stated, verdict, statement)

@@ -22,6 +22,8 @@ from labpipe.uncertainty.observations import Campaign
 
 # p-value below which the scatter is larger than the standard errors explain.
 SCATTER_LEVEL = 0.05
+# p-value below which a parabola takes what a line leaves, and fewest values that tell.
+CURVED_LEVEL, FEWEST_CURVED = 1e-3, 5
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class WeightedFit:
     besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*:
     the part of *covariance* by errors in common, which no scatter shows. *known*: what the errors alone make
     of *covariance*. *behind*: degrees of freedom of errors that were estimated from scatter themselves.
+    *curved*: what a straight trend does not hold, as of `curvature_text`.
     """
 
     values: FloatArray
@@ -44,6 +47,7 @@ class WeightedFit:
     shared: FloatArray
     known: FloatArray
     behind: float = np.inf
+    curved: str = ""
 
     @property
     def inflated(self) -> bool:
@@ -337,7 +341,29 @@ def straight_trend(
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
-    return weighted_fit(columns, values, errors, changes)
+    fit = weighted_fit(columns, values, errors, changes)
+    return replace(fit, curved=curvature_text(condition, values, errors, changes, fit.values[0]))
+
+
+def curvature_text(
+    condition: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None, scale: float
+) -> str:
+    """How far *values* (n,) [any unit], as of `straight_trend`, bend off a chord, in % of *scale*: where they
+    scatter about the line beyond their errors and a parabola takes it (F test). Else empty. Equation
+    (comp-curved).
+    """
+    place = 2 * (condition - condition.min()) / max(np.ptp(condition), np.finfo(float).tiny) - 1
+    if len(set(place)) < 3 or values.size < FEWEST_CURVED:
+        return ""
+    columns = np.column_stack([place**0, place, place**2])
+    line, bent = (weighted_fit(columns[:, :n], values, errors, changes) for n in (2, 3))
+    ratio = np.sqrt(max(line.chi2 - bent.chi2, 0.0) * bent.dof / max(bent.chi2, np.finfo(float).tiny))
+    p_value = 2 * distributions.student_tail(float(ratio), bent.dof)
+    if not line.inflated or p_value >= CURVED_LEVEL:
+        return ""
+    share, side = 100 * bent.values[2] / abs(scale), "below" if bent.values[2] > 0 else "above"
+    middle = f"in the middle {abs(share):.2g} % {side} the chord"
+    return f"curved, {middle} ({chance_text(p_value)}), which a straight line does not hold"
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:

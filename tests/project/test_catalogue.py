@@ -323,6 +323,16 @@ def test_a_value_out_of_control_is_named(tmp_path: Path, labpipe) -> None:
     assert "test" not in ended.out.splitlines()[2]
 
 
+def test_a_curved_trend_is_not_none(tmp_path: Path, labpipe) -> None:
+    """1 % above the middle at either end, with standard errors of 1e-4."""
+    for day in range(1, 7):
+        value = 1e5 * (1 + 0.01 * ((day - 3.5) / 2.5) ** 2) + 10 * (-1) ** day
+        store(tmp_path / f"r{day}", [fit("", value)], {"": {"date": f"2026-11-0{day}"}})
+    ended = labpipe("trend", tmp_path, "-p", "k", "--over", "date")
+    assert "no trend" not in ended.out and "(95 %): curved" in ended.out
+    assert re.search(r"in the middle (0\.9\d?|1) % below the chord \(p = ", ended.out)
+
+
 def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> None:
     ended = labpipe(
         "trend", line, "-p", "k", "--over", "preload", "--csv", line / "t.csv", "-o", line / "t.html"

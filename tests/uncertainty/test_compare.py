@@ -27,7 +27,7 @@ from labpipe.uncertainty.settings import COMPARISONS, CompareSettings, TheorySet
 from tests.uncertainty.test_theory import BENDING, PEAKS, SHAFT, K, measured
 
 VERDICTS = {
-    "trend": {"rising", "falling", "no trend"},
+    "trend": {"rising", "falling", "no trend", "curved"},
     "difference": {"different", "no difference"},
     "quotient": {"different", "no difference"},
     "repeatability": {"settings differ", "settings alike"},

@@ -73,6 +73,21 @@ def test_a_bent_series_is_told_by_the_scatter(campaign) -> None:
     assert "scatter more than their errors" in found.statement
 
 
+def test_a_bent_series_is_curved_and_not_without_a_trend(campaign) -> None:
+    """k rises by 1 % to both ends: the middle is 1 % below the chord, as numpy's parabola is."""
+    speeds = np.linspace(1000.0, 6000.0, 6)
+    noise = np.array([0.5, -1.0, 0.3, 0.8, -0.6, 0.1]) * 1e-4
+    for law, x in ((LINE, speeds), (POWER, np.log(speeds))):
+        place = 2 * (x - x[0]) / np.ptp(x) - 1
+        values = 1e6 * (1 + 0.01 * place**2 + noise)
+        bend = np.polyfit(place, np.log(values) if law is POWER else values / np.mean(values), 2)[0]
+        found = trend(campaign(law, a_series(values, 1e2, speeds.tolist())))
+        assert found.verdict == "curved"
+        assert f"in the middle {100 * bend:.2g} % below the chord" in found.statement
+        straight = trend(campaign(law, a_series(1e6 * (1 + noise), 1e2, speeds.tolist())))
+        assert straight.verdict == "no trend" and "chord" not in straight.statement
+
+
 def test_a_power_law_needs_positive_conditions_and_values(campaign) -> None:
     with pytest.raises(FitError, match="needs 'preload' above zero"):
         trend(campaign(POWER, a_series([1.0, 2.0, 3.0], 0.1, (0.0, 1.0, 2.0))))
