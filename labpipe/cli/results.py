@@ -182,13 +182,9 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile(1) * error, line.p_of(1)
     per = unit_label(series.condition_unit.split(" ")[0]) or f"unit of {series.over}"
-    verdict = (
-        ("curved" if line.curved else "no trend")
-        if p_value >= LEVEL
-        else "rising"
-        if slope > 0
-        else "falling"
-    )
+    verdict = "curved" if line.curved else "no trend"
+    if p_value < LEVEL:
+        verdict = "rising" if slope > 0 else "falling"
     scatter = f"; {line.curved}" if line.curved else ""
     scatter += "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
     stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"

@@ -134,9 +134,9 @@ def _comparison(
         x, values, per, scale = np.log(x), np.log(values), values, 1.0
     errors = campaign.std_error / np.abs(per), campaign.common / per
     curved = "" if campaign.settings.second else curvature_text(x, values, *errors, scale)
-    verdict = (
-        ("curved" if curved else "no trend") if not sure else "rising" if fit.values[1] > 0 else "falling"
-    )
+    verdict = "curved" if curved else "no trend"
+    if sure:
+        verdict = "rising" if fit.values[1] > 0 else "falling"
     fits = "" if fit.p_value is None else f"; the law fits the points with {display.chance_text(fit.p_value)}"
     statement = f"{law}: {verdict} ({display.chance_text(p_value)}){fits}."
     if fit.inflated:
