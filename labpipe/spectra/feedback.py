@@ -37,6 +37,9 @@ FEWEST_LINES = 1000
 LAGS = range(2, 21)
 # Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
+# Share of the band above which what is in quadrature is that of its upper edge, as the accelerance of an
+# infinite plate is, j w / (8 sqrt(B m)) (Cremer and Heckl, Structure-Borne Sound, 1988).
+EDGE = 0.8
 # Share of the record over which it fades at its ends.
 ENDS = 0.1
 # Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
@@ -196,16 +199,20 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         response = product(s_yu[:, None, :], inverted)[:, 0]
         noise = np.maximum(power - np.sum(response * s_yu.conj(), axis=1).real, 0.0) * free
         white = fade * _whitening(power)
+        at_once, edge = 1j * w * white, w > EDGE * np.pi
         raw = white[:, None] * product(crossed[:, None, :], inverted)[:, 0] / level * size
         impulse = _at_lags(raw, 2 * raw.shape[0]).real
-        before, after = impulse[: LAGS.stop], impulse[-np.arange(LAGS.stop)]
+        # What is in quadrature at the upper edge, as the accelerance of a plate where it is struck, reaches
+        # before the force once the band is cut there: its lags are taken off.
+        reach = np.sum((raw[edge] * at_once[edge, None].conj()).real, axis=0) / np.sum(
+            np.abs(at_once[edge]) ** 2
+        )
+        before = impulse[: LAGS.stop] - reach * _at_lags(at_once, LAGS.stop).real[:, None]
+        after = impulse[-np.arange(LAGS.stop)]
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-        at_once = _at_lags(1j * w * white, LAGS.stop).real
-        chances += [
-            _chance_of_lags(before[:, i], variance[:, i], floor, degree, at_once) for i in range(n_input)
-        ]
+        chances += [_chance_of_lags(before[:, i], variance[:, i], floor, degree) for i in range(n_input)]
     return chances
 
 
@@ -227,14 +234,8 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(
-    lags: FloatArray, variance: FloatArray, floor: float, degree: int, at_once: FloatArray
-) -> float:
-    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree* and
-    the lags of a response *at_once*, j w in the band: what is in quadrature at its upper edge, as the
-    accelerance of a plate where it is struck, reaches before the force once the band is cut there. The
-    mobility of an infinite plate is real, 1 / (8 sqrt(B m)) (Cremer and Heckl, Structure-Borne Sound, 1988).
-    """
+def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
+    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree*."""
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
@@ -243,10 +244,7 @@ def _chance_of_lags(
     white = np.linalg.solve(lower, lags)
     # What lies below the lowest excited line is missing on both sides, as a slow curve.
     place = np.linspace(-1, 1, before.size)
-    left_out = np.column_stack(
-        [np.polynomial.legendre.legvander(place, degree), at_once[LAGS.start :] / np.max(np.abs(at_once))]
-    )
-    slow = np.linalg.qr(np.linalg.solve(lower, left_out))[0]
+    slow = np.linalg.qr(np.linalg.solve(lower, np.polynomial.legendre.legvander(place, degree)))[0]
     white = white - slow @ (slow.T @ white)
     return float(special.chdtrc(before.size - slow.shape[1], white @ white))
 
