@@ -38,8 +38,9 @@ LAGS = range(2, 21)
 # Share of its peak that an impulse response may have before the force by leakage, or sensors that differ.
 FLOOR = 0.03
 # Share of the band above which what is in quadrature is that of its upper edge, as the accelerance of an
-# infinite plate is, j w / (8 sqrt(B m)) (Cremer and Heckl, Structure-Borne Sound, 1988).
-EDGE = 0.8
+# infinite plate is, j w / (8 sqrt(B m)) (Cremer and Heckl, Structure-Borne Sound, 1988), and how well it is
+# known: tried .5, 1 and 2, of which 1 tells all loops and calls no plate one.
+EDGE, UNSURE = 0.8, 1.0
 # Share of the record over which it fades at its ends.
 ENDS = 0.1
 # Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
@@ -203,16 +204,20 @@ def _chances_in(spectra: ComplexArray, n_input: int, band: tuple[int, int], scal
         raw = white[:, None] * product(crossed[:, None, :], inverted)[:, 0] / level * size
         impulse = _at_lags(raw, 2 * raw.shape[0]).real
         # What is in quadrature at the upper edge, as the accelerance of a plate where it is struck, reaches
-        # before the force once the band is cut there: its lags are taken off.
+        # before the force once the band is cut there: its lags are taken off, known to UNSURE of their size.
         reach = np.sum((raw[edge] * at_once[edge, None].conj()).real, axis=0) / np.sum(
             np.abs(at_once[edge]) ** 2
         )
-        before = impulse[: LAGS.stop] - reach * _at_lags(at_once, LAGS.stop).real[:, None]
+        leaving = reach * _at_lags(at_once, LAGS.stop).real[:, None]
+        before = impulse[: LAGS.stop] - leaving
         after = impulse[-np.arange(LAGS.stop)]
         # What one force leaves of another's spectrum is small against the larger of their effects.
         floor = FLOOR * float(np.max(np.abs(after)))
         variance = scale * (np.abs(white) ** 2 * noise)[:, None] * spread * size**2
-        chances += [_chance_of_lags(before[:, i], variance[:, i], floor, degree) for i in range(n_input)]
+        unsure = UNSURE * leaving
+        chances += [
+            _chance_of_lags(before[:, i], variance[:, i], floor, degree, unsure[:, i]) for i in range(n_input)
+        ]
     return chances
 
 
@@ -234,12 +239,17 @@ def _level(u: ComplexArray) -> FloatArray:
     return np.exp(0.5 * np.column_stack([np.interp(lines, middle, column) for column in np.log(power).T]))
 
 
-def _chance_of_lags(lags: FloatArray, variance: FloatArray, floor: float, degree: int) -> float:
-    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,), but for a slow curve of a *degree*."""
+def _chance_of_lags(
+    lags: FloatArray, variance: FloatArray, floor: float, degree: int, unsure: FloatArray
+) -> float:
+    """p-value of the *lags* before 0 by an FRF's *variance* (n_line,) and what they are *unsure* by (n_lag,)
+    together, but for a slow curve of a *degree*.
+    """
     before = np.array(LAGS)
     lags = lags[LAGS.start :]
     covariance = linalg.toeplitz(_at_lags(variance, before.size).real / 2)
     covariance = covariance + np.eye(before.size) * floor**2
+    covariance = covariance + np.outer(unsure[LAGS.start :], unsure[LAGS.start :])
     lower = np.linalg.cholesky(covariance)
     white = np.linalg.solve(lower, lags)
     # What lies below the lowest excited line is missing on both sides, as a slow curve.
