@@ -290,12 +290,13 @@ def _move_to_mean_poles(
         return sides, whole, (), ()
     moving, lines = modal.moving_mass is not None, sides.lines
     apart: tuple[MovedReferences, ...] = ()
-    if (found := moved_references(lines, whole, correlation)) is not None:
-        lines, whole, apart = found[1], found[2], found[:1]
+    if (aligned := moved_references(lines, whole, correlation)) is not None:
+        references, lines, whole = aligned
+        apart = (references,)
     lines, whole, modes, findings = add_moved_modes(lines, whole, correlation, moving=moving)
     moved: Moved = (*apart, *modes)
     names = [port.label for port in sides.measured.inputs]
-    findings = (*(references.finding(names) for references in apart), *findings)
+    findings = (*(each.finding(names) for each in apart), *findings)
     return replace(sides, lines=lines, measured=align_measured(sides.measured, moved)), whole, moved, findings
 
 
