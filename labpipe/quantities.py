@@ -99,6 +99,8 @@ _FIXED: dict[str, Unit] = {
     "psi": Unit(0.45359237 * _G / 0.0254**2, _dimension(m=-1, kg=1, s=-2)),
     "degC": Unit(1.0, _dimension(k=1), 273.15),
     "°C": Unit(1.0, _dimension(k=1), 273.15),
+    "degF": Unit(5 / 9, _dimension(k=1), 459.67 * 5 / 9),
+    "°F": Unit(5 / 9, _dimension(k=1), 459.67 * 5 / 9),
 }
 _PREFIX = {
     "G": 1e9,
@@ -158,7 +160,7 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _VALUE = re.compile(rf"^\s*({_NUMBER})\s*(.*?)\s*$")
 # The g of a gram that may as well be standard gravity, with the prefix of either; kg is a mass, always.
 _GRAM = re.compile(r"(?<![^\W\d_])([mu]?)g(?![^\W\d_])")
-_TOKEN = re.compile(r"\^\([^)]*\)|\^[+-]?\d+(?:\.\d+)?|[^\W\d_]+|[%°]C?|\d+|[/()]|[.*·\s]+|.")
+_TOKEN = re.compile(r"\^\([^)]*\)|\^[+-]?\d+(?:\.\d+)?|[^\W\d_]+|[%°][CF]?|\d+|[/()]|[.*·\s]+|.")
 
 
 def _simple_unit(symbol: str) -> Unit:
@@ -260,10 +262,12 @@ def parse_unit(text: str) -> Unit:
 
 def readings(text: str) -> tuple[Unit, ...]:
     """The units that *text* may mean: g is the gram, and for those who measure accelerations standard gravity
-    ("g/N", "mV/g").
+    ("g/N", "mV/g"); C alone is the coulomb, and of a thermometer the degree Celsius.
 
     Raises UnitError as parse_unit does.
     """
+    if text.strip() == "C":
+        return parse_unit("C"), parse_unit("degC")
     gravity = _GRAM.sub(r"\1gn", text)
     return (parse_unit(text),) if gravity == text else (parse_unit(text), parse_unit(gravity))
 
@@ -278,7 +282,7 @@ def may_agree(first: str, second: str) -> bool:
 
 def unit_of(text: str, si_unit: str) -> Unit:
     """The unit written as *text*, of the dimension of *si_unit*: g is 9.80665 m/s^2 where an acceleration is
-    needed, the gram else.
+    needed, the gram else; C is the degree Celsius where a temperature is.
 
     Raises UnitError for an unknown unit or a wrong dimension.
     """

@@ -15,13 +15,13 @@ from labpipe.cli.output import echo, echo_findings
 from labpipe.cli.terminal import echo_identification
 from labpipe.errors import ConfigError
 from labpipe.project.identify import MeasuredTests, identify_stage
-from labpipe.project.ingest import ingest_all
+from labpipe.project.ingest import SourceFile, ingest_all
 from labpipe.project.measured import MeasuredTest, load_measured
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import load_rig
 from labpipe.project.run import Manner, measure_tests, run
-from labpipe.project.tests import SourceFile, Test
+from labpipe.project.tests import Test
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 

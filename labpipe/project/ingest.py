@@ -5,11 +5,12 @@ that is read as fast as that copy, and by single columns, is measured as it is r
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -21,14 +22,14 @@ from labpipe.artefacts import recording_file
 from labpipe.artefacts.digest import DigestAlong, file_sha256
 from labpipe.artefacts.header import Header, SourceRef, source_ref
 from labpipe.artefacts.parquet import fresh_path, has_header
-from labpipe.artefacts.writing import OutputFolder
+from labpipe.artefacts.writing import OutputFolder, is_remote
 from labpipe.errors import DataError, locate_errors
 from labpipe.quantities import may_agree
 from labpipe.raw_files.joined_table import JoinedTable, ResampledTable
 from labpipe.raw_files.screening import JITTER, ChannelScreen, LostSamples, TimeAxisScreen
 from labpipe.raw_files.table import QuickTable, RawTable, as_quick, check_columns, check_time, open_table
-from labpipe.records.finding import Finding
-from labpipe.records.rig import Rig, RigChannel, time_scale
+from labpipe.records.finding import Finding, note
+from labpipe.records.rig import Rig, RigChannel, Span, time_scale
 
 # Ends of the range of a channel that cannot clip.
 FAR = (-1e300, 1e300)
@@ -40,6 +41,8 @@ TIME_NAMES = (
 ANOTHER_RATE = 0.01
 # Rates are written down with this many digits at least.
 SAME_RATE = 1e-4
+# Share of a step by which a printed time may miss an end of a span.
+NEAR = 1e-3
 # Samples that are calibrated at once.
 IN_CACHE = 1 << 12
 
@@ -79,27 +82,102 @@ def check_rig(made: Mapping[str, Any], rig: Rig, path: Path, again: str) -> None
     check_made_with("rig", made, {name: getattr(rig, name) for name in MEASURES}, path, again)
 
 
-def ingest(
-    source: Path,
-    rig: Rig,
-    output: OutputFolder,
-    name: str,
-    base: Path,
-    joined: Sequence[Path] = (),
-    by: str = "",
-) -> recording_file.StoredRecording:
-    """The calibrated recording of a raw file, made unless the one on disk is fresh. *name*: its file name in
-    the output folder without ending; *base*: the folder to which paths in the header are relative; *joined*:
-    further files of the same run, joined *by* time or sample. DataError with file and line for what cannot be
-    used.
+@dataclass(frozen=True)
+class SourceFile:
+    """One recorded file and the rig that recorded it. *path* may be a URL of an object storage. *joined*:
+    further files with channels of the same run, *by* time or sample, by default by time where all have it.
+    *span*: the part of it that counts.
     """
-    if is_recording(source) and not joined:
-        recording = recording_file.open_recording(source)
-        check_rig(recording.header.parameters, rig, source, "run `labpipe ingest` again, or name its rig")
+
+    path: Path
+    rig: Rig
+    joined: tuple[Path, ...] = ()
+    by: str = ""
+    span: Span = Span()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        return (self.path, *self.joined)
+
+    @property
+    def is_whole_file(self) -> bool:
+        """Whether it is a file of its own, as it was recorded."""
+        return not self.joined and self.span.is_whole
+
+    def absolute(self) -> SourceFile:
+        return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
+
+    def at(self, places: Mapping[Path, Path]) -> SourceFile:
+        """The same, of files that lie at other places."""
+        return replace(
+            self,
+            path=places.get(self.path, self.path),
+            joined=tuple(places.get(path, path) for path in self.joined),
+        )
+
+
+class _Part:
+    """The rows of a recording that lie within a *span*, chunk by chunk. *step* [s]: from row to row, or per
+    unit of the first column where that is a *timed* one.
+    """
+
+    def __init__(self, span: Span, step: float, timed: bool) -> None:
+        self._span, self._step, self._timed = span, step, timed
+        self._n_row = self._n_kept = 0
+        self._length = self._near = 0.0
+
+    def rows(self, chunks: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        """Those of *chunks* (n, n_column) [any unit], with a time that is no number, to be refused later."""
+        if self._span.is_whole:
+            yield from chunks
+            return
+        first, spacing = 0.0, self._step
+        start, end = self._span.start, self._end
+        for chunk in chunks:
+            times = chunk[:, 0] if self._timed else np.arange(self._n_row, self._n_row + len(chunk))
+            times = times * self._step
+            if self._timed and self._n_row == 0:
+                first, spacing = times[0], float(np.median(np.diff(times))) if times.size > 1 else 0.0
+            since, self._near = times - first, NEAR * spacing
+            kept = chunk[~((since < start - self._near) | (since >= end - self._near))]
+            self._n_row, self._n_kept = self._n_row + len(chunk), self._n_kept + len(kept)
+            self._length = float(since[-1]) + spacing
+            yield kept
+
+    @property
+    def _end(self) -> float:
+        return math.inf if self._span.end is None else self._span.end
+
+    def findings(self, path: Path) -> tuple[Finding, ...]:
+        """What was left out. DataError for a span that reaches beyond the recording's end."""
+        if self._span.is_whole:
+            return ()
+        start, length = self._span.start, self._length
+        if not self._n_kept or length + self._near < self._end < math.inf:
+            at = f"start: {start:g} s" if not self._n_kept else f"end: {self._end:g} s"
+            hint = "times count from its first sample on"
+            raise DataError(f"lasts {length:.6g} s, and `{at}` lies beyond", path, hint)
+        until = min(self._end, length)
+        what = f"{path.name}: of {length:.6g} s the part from {start:g} to {until:.6g} s counts"
+        return (note("cut", what),)
+
+
+def ingest(source: SourceFile, output: OutputFolder, name: str, base: Path) -> recording_file.StoredRecording:
+    """The calibrated recording of a raw file, made unless the one on disk is fresh. *name*: its file name in
+    the output folder without ending; *base*: the folder to which paths in the header are relative. DataError
+    with file and line for what cannot be used.
+    """
+    rig, span = source.rig, source.span
+    if is_recording(source.path) and not source.joined:
+        recording = recording_file.open_recording(source.path)
+        check_rig(
+            recording.header.parameters, rig, source.path, "run `labpipe ingest` again, or name its rig"
+        )
         return recording
-    table = _join([source, *joined], rig, by) if joined else _open(source, rig)
-    parameters = {**asdict(rig), **({"by": by} if by else {})}
-    inputs = tuple(source_ref(path, base) for path in (source, *joined))
+    table = _join(source.paths, rig, source.by) if source.joined else _open(source.path, rig)
+    stated = {"by": source.by, "span": {} if span.is_whole else asdict(span)}
+    parameters = {**asdict(rig), **{key: entry for key, entry in stated.items() if entry}}
+    inputs = tuple(source_ref(path, base) for path in source.paths)
     header = Header("recording", parameters, inputs=inputs)
     if (fresh := fresh_path(output, name + recording_file.SUFFIX, header)) is not None:
         return recording_file.open_recording(fresh)
@@ -108,12 +186,11 @@ def ingest(
     channels = rig.all_channels
     time = _clock(table, rig)
     if not rig.time:
-        stated_rate(table, rig)
         timed = [*_times_beside(table, rig), *timed]
-    screen, calibration = channel_screen(rig), Calibration(rig)
-    seconds = time_scale(rig.time, table.units)
+    screen, calibration, seconds = channel_screen(rig), Calibration(rig), time_scale(rig.time, table.units)
+    part = _Part(span, seconds if rig.time else 1 / stated_rate(table, rig), bool(rig.time))
     with locate_errors(table.path), recording_file.RecordingWriter(target, channels) as writer:
-        for chunk in table.chunks(timed):
+        for chunk in part.rows(table.chunks(timed)):
             if time is not None:
                 time.add(chunk[:, 0] * seconds)
             block = calibration.to_si(chunk[:, len(timed) - len(rig.channels) :])
@@ -121,14 +198,14 @@ def ingest(
             writer.write(calibration.with_sums(block))
         of_times = time.findings() if isinstance(time, LostSamples) else ()
         sample_rate = _rate(time, table, rig)
-        contents = recording_file.recording_contents(channels, sample_rate, source.stem, screen.levels())
+        contents = recording_file.recording_contents(channels, sample_rate, source.path.stem, screen.levels())
         of_table = table.findings() if isinstance(table, JoinedTable | ResampledTable) else ()
         if isinstance(table, JoinedTable):
             contents["files"] = {c.channel.name: table.file_of(c.column) for c in rig.channels}
-        found = (*of_table, *screen.findings(), *of_times)
+        found = (*of_table, *part.findings(table.path), *screen.findings(), *of_times)
         writer.finish(replace(header, findings=found, contents=contents))
     recording = writer.recording()
-    for path, reference in zip((source, *joined), header.inputs, strict=True):
+    for path, reference in zip(source.paths, header.inputs, strict=True):
         if source_ref(path, base) != reference:
             raise changed_while_read(path)
     return recording
@@ -338,7 +415,7 @@ def ingest_all(
     """`ingest` for many files of one rig."""
     paths = list(sources)
     named = zip(paths, unique_names(paths), strict=True)
-    return [ingest(path, rig, output, name, base) for path, name in named]
+    return [ingest(SourceFile(path, rig), output, name, base) for path, name in named]
 
 
 def recording_refs(recording: recording_file.StoredRecording, base: Path) -> tuple[SourceRef, ...]:

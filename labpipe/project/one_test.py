@@ -291,8 +291,7 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
         stored = []
         for source, name in zip(job.test.recordings, job.names, strict=True):
             tell(f"ingest    {source.path.name}")
-            goal = f"recordings/{name}"
-            stored.append(ingest(source.path, source.rig, output, goal, job.folder, source.joined, source.by))
+            stored.append(ingest(source, output, f"recordings/{name}", job.folder))
         if stored:
             if job.frf is None:
                 raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
@@ -314,7 +313,7 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
         job.frf is None
         or job.test.recorded
         or not job.test.recordings
-        or any(source.joined for source in job.test.recordings)
+        or not all(source.is_whole_file for source in job.test.recordings)
     ):
         return None
     n_remark = len(output.remarks)

@@ -12,10 +12,11 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
+from labpipe.project.ingest import SourceFile
 from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.rules import Rule, read_rules
 from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
-from labpipe.project.tests import SINGLE, EachFile, SourceFile, Test, TestReader, read_rig
+from labpipe.project.tests import SINGLE, EachFile, Test, TestReader, read_rig
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections

@@ -13,6 +13,7 @@ from labpipe.project.rig_file import ChannelSettings, RigSettings
 from labpipe.project.rules import DECISION_KEYS, DECISIONS
 from labpipe.project.tests import BY, REPEATS
 from labpipe.records.frf_layout import FrfLayout
+from labpipe.records.rig import Span
 from labpipe.records.sections import PipelineSection, sections
 from labpipe.records.settings import Setting, settings_of
 from labpipe.registry import Registry
@@ -79,6 +80,7 @@ def _recordings() -> dict[str, Any]:
             },
             "rig": {"type": "string"},
             "channels": {"type": "object"},
+            **object_schema(Span)["properties"],
         },
         "additionalProperties": False,
     }

@@ -22,7 +22,7 @@ from labpipe.errors import ConfigError, DataError
 from labpipe.project.bearing_file import open_bearing
 from labpipe.project.executors import in_processes, serially
 from labpipe.project.first_guess import GuessedChannel, first_rows, guess_channels, time_columns
-from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.ingest import SourceFile, ingest, is_recording
 from labpipe.project.marked_yaml import load_marked
 from labpipe.project.one_test import silent
 from labpipe.project.pipeline_file import load_pipeline
@@ -200,7 +200,7 @@ def _scratch_output() -> Iterator[OutputFolder]:
 
 def _calibrate(path: Path, rig: Rig) -> Recording:
     with _scratch_output() as output:
-        return ingest(path, rig, output, path.stem, path.parent).in_memory()
+        return ingest(SourceFile(path, rig), output, path.stem, path.parent).in_memory()
 
 
 def _read_alone(path: Path) -> Recording:

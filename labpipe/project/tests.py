@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labpipe.artefacts.writing import is_remote
 from labpipe.errors import ConfigError
 from labpipe.project import settings_reader
-from labpipe.project.ingest import is_recording
+from labpipe.project.ingest import SourceFile, is_recording
 from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
 from labpipe.records.frf_layout import FrfLayout
-from labpipe.records.rig import RecordedCondition, Rig
+from labpipe.records.rig import RecordedCondition, Rig, Span
+from labpipe.records.settings import settings_of
 from labpipe.spectra.settings import KEYS as KEYS_OF_EXCITATION, FrfSettings
 
 
@@ -113,35 +113,8 @@ def _check_dofs(
         faults.add_at(node.content, key, word, "one dof is needed", hint)
 
 
-KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels")
+KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels", *settings_of(Span))
 BY = ("time", "sample")
-
-
-@dataclass(frozen=True)
-class SourceFile:
-    """One recorded file and the rig that recorded it. *path* may be a URL of an object storage. *joined*:
-    further files with channels of the same run, *by* time or sample, by default by time where all have it.
-    """
-
-    path: Path
-    rig: Rig
-    joined: tuple[Path, ...] = ()
-    by: str = ""
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        return (self.path, *self.joined)
-
-    def absolute(self) -> SourceFile:
-        return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
-
-    def at(self, places: Mapping[Path, Path]) -> SourceFile:
-        """The same, of files that lie at other places."""
-        return replace(
-            self,
-            path=places.get(self.path, self.path),
-            joined=tuple(places.get(path, path) for path in self.joined),
-        )
 
 
 def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> Rig | None:
@@ -193,28 +166,33 @@ class RecordingReader:
             what = f"'{named[0]}' and '{named[1]}' are both named"
             self.faults.add_at(entry.content, key, named[1], what, "leave one out")
         file = entry.content[named[0]] if named else Marked(None, entry.where)
-        rig = self._rig(entry, key)
+        rig, span = self._rig(entry, key), self._span(entry, key)
         paths = _all_files(file, key, self.faults, elsewhere=True)
-        if rig is None or not paths:
+        if rig is None or span is None or not paths:
             return []
         if named == ["join"]:
             moved = self._move(rig, paths[0], entry, key)
-            return [SourceFile(paths[0], moved, tuple(paths[1:]), self._by(entry, key))]
+            return [SourceFile(paths[0], moved, tuple(paths[1:]), self._by(entry, key), span)]
         if "by" in entry.content:
             what, hint = "belongs to files that are joined", "write join: [a.csv, b.csv]"
             self.faults.add_at(entry.content, key, "by", what, hint)
-        moving = next((word for word in ("channels", "pattern") if word in entry.content), "")
+        changing = ("channels", "pattern", *settings_of(Span))
+        changed = next((word for word in changing if word in entry.content), "")
         sources: list[SourceFile] = []
         before = len(self.faults)
         for path in paths:
-            if moving and is_recording(path):
-                what = f"'{path.name}' is calibrated, its channels stay as they are"
-                self.faults.add_at(entry.content, key, moving, what, "name the raw file, or leave it out")
-            sources.append(SourceFile(path, self._move(rig, path, entry, key)))
+            if changed and is_recording(path):
+                what = f"'{path.name}' is calibrated and stays as it is"
+                self.faults.add_at(entry.content, key, changed, what, "name the raw file, or leave it out")
+            sources.append(SourceFile(path, self._move(rig, path, entry, key), span=span))
             if len(self.faults) > before:
                 # The other files would say the same.
                 break
         return sources
+
+    def _span(self, entry: Marked, key: str) -> Span | None:
+        stated = {word: node for word, node in entry.content.items() if word in settings_of(Span)}
+        return settings_reader.read_settings(Span, replace(entry, content=stated), key, self.faults)
 
     def _by(self, entry: Marked, key: str) -> str:
         by = text_of(entry.content, "by")

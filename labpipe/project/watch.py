@@ -20,11 +20,12 @@ from labpipe.artefacts.writing import is_remote, output_file, output_folder
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import rig_entry
+from labpipe.project.ingest import SourceFile
 from labpipe.project.many_tests import outcome_of, settings_of_many, summed_up
 from labpipe.project.measured import fits_file_name
 from labpipe.project.one_test import Done, Job, work
 from labpipe.project.pipeline_file import Pipeline
-from labpipe.project.tests import EachFile, SourceFile, Test
+from labpipe.project.tests import EachFile, Test
 from labpipe.raw_files.table import READERS
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.dataset import DatasetSummary, TestResult, sum_summaries, summary_of

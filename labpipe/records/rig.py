@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, IntArray
-from labpipe.errors import ConfigError, DataError
+from labpipe.errors import ConfigError, DataError, SettingError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.recording import Channel
-from labpipe.records.settings import Settings, setting, text
+from labpipe.records.settings import Settings, quantity, setting, text
 from labpipe.records.uncertain import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
@@ -114,6 +114,24 @@ class RecordedCondition(Settings):
             what = "one of 'channel' and 'tacho' is needed"
             raise ConfigError(what, hint="channel: load_cell, or tacho: key")
         self.require_positive("pulses")
+
+
+@dataclass(frozen=True)
+class Span(Settings):
+    """The part of a recording that counts; times from its first sample on."""
+
+    start: float = quantity("what comes before does not count; times from the first sample on", "s", 0.0)
+    end: float | None = quantity("what comes after does not count; default: the end of the file", "s", None)
+
+    def __post_init__(self) -> None:
+        self.require_not_negative("start")
+        if self.end is not None and self.end <= self.start:
+            raise SettingError("end", "'end' must come after 'start'")
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is left out."""
+        return self == Span()
 
 
 AXES = "xyz"

@@ -265,7 +265,7 @@ def jump_finding(average: PeriodAverage, source: SampleSource, skip: int) -> tup
         f"recording '{source.name}': the periods of {names} change at once near "
         f"{(skip + number) * average.n_sample / source.sample_rate:.4g} s, {channels[column].name} by "
         f"{share:.2g} times its signal: {cause}. The mean is over what was before and after; evaluate "
-        "these parts as recordings of their own"
+        "these parts as recordings of their own: `{file: ..., start: ..., end: ...}`"
     )
     return (Finding("jump", what),)
 

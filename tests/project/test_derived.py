@@ -14,7 +14,7 @@ import pytest
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigErrors, DataError
 from labpipe.methods.floating_bearing.virtual_rig import FloatingNoise, FloatingRig
-from labpipe.project.ingest import ingest
+from labpipe.project.ingest import SourceFile, ingest
 from labpipe.project.rig_file import load_rig
 from labpipe.project.simulate import load_virtual_rig
 from labpipe.records.recording import Channel, Number, Recording, SumTerm
@@ -196,7 +196,7 @@ def test_sums_stand_in_the_recording_and_follow_the_rig_file(tmp_path: Path) -> 
     )
     for loaded, mass in ((found, 30.0), (load_rig(tmp_path / "rig.yaml", ["constants.m_s=31 kg"]), 31.0)):
         with output_folder(tmp_path / "out") as output:
-            recording = ingest(tmp_path / "r.csv", loaded, output, "r", tmp_path).in_memory()
+            recording = ingest(SourceFile(tmp_path / "r.csv", loaded), output, "r", tmp_path).in_memory()
             assert [channel.name for channel in recording.channels] == ["f", "a", "x1", "x2", "e", "d"]
             f, a, x1, x2, e, d = recording.samples.T
         np.testing.assert_allclose(e, f - mass * a)

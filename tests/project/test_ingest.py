@@ -19,6 +19,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.ingest import (
+    SourceFile,
     contradictions,
     ingest,
     ingest_all,
@@ -29,6 +30,7 @@ from labpipe.project.ingest import (
 )
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files.table import open_table
+from labpipe.records.rig import Span
 from labpipe.spectra.channels import checked_blocks
 
 TIMED = 'name: R\ntime: "t [s]"\nchannels:\n'
@@ -54,14 +56,51 @@ def csv_file(folder: Path, names: Sequence[str], rows: np.ndarray, name: str = "
     return path
 
 
-def ingested(folder: Path, raw: Path, rig: Path) -> StoredRecording:
+def ingested(folder: Path, raw: Path, rig: Path, *span: Span) -> StoredRecording:
+    source = SourceFile(raw, load_rig(rig), (), "", *span)
     with output_folder(folder / "out") as output:
-        ingest(raw, load_rig(rig), output, "run", folder)
+        ingest(source, output, "run", folder)
     with output_folder(folder / "out") as output:
-        return ingest(raw, load_rig(rig), output, "run", folder)
+        return ingest(source, output, "run", folder)
 
 
 TWO = ("force [N]", "y [um]")
+
+
+# a part of a recording
+
+
+@pytest.mark.parametrize("head", [RATED, TIMED])
+@pytest.mark.parametrize(
+    ("start", "end", "rows"), [(0.0, 1.0, (0, 100)), (0.5, None, (50, 700)), (1.23, 5.0, (123, 500))]
+)
+def test_a_part_of_a_recording_is_the_rows_between_its_ends(
+    tmp_path: Path, head: str, start: float, end: float | None, rows: tuple[int, int]
+) -> None:
+    """100 Hz: row n is n / 100 s after the first, also of times that begin elsewhere and are rounded."""
+    values = np.random.default_rng(5).normal(size=(700, 2))
+    times = np.round(7.3 + np.arange(700) / 100, 2)
+    raw = csv_file(tmp_path, ("t [s]", *TWO), np.column_stack([times, values]))
+    part = ingested(tmp_path, raw, rig_file(tmp_path, head=head), Span(start, end))
+    expected = values[slice(*rows)] * [1.0, 1e-6]
+    np.testing.assert_allclose(part.in_memory().samples, expected, rtol=1e-12)
+    assert part.sample_rate == pytest.approx(100, rel=1e-6)
+    (cut,) = part.findings
+    until = 7 if end is None else end
+    assert (cut.code, cut.message) == (
+        "cut",
+        f"run.csv: of 7 s the part from {start:g} to {until:g} s counts",
+    )
+
+
+def test_a_part_beyond_the_recording_is_refused_with_its_length(tmp_path: Path) -> None:
+    raw = csv_file(tmp_path, TWO, np.ones((700, 2)))
+    rig = rig_file(tmp_path)
+    for span, at in ((Span(0, 7.01), "end: 7.01 s"), (Span(7.0), "start: 7 s")):
+        with pytest.raises(DataError) as caught:
+            ingested(tmp_path, raw, rig, span)
+        assert caught.value.what == f"lasts 7 s, and `{at}` lies beyond"
+    assert ingested(tmp_path, raw, rig, Span(0, 7.0)).n_sample == 700
 
 
 # calibration
@@ -191,7 +230,7 @@ def test_a_missing_number_is_named_by_its_own_file(tmp_path: Path) -> None:
     ]
     with output_folder(tmp_path / "out") as output:
         rig = load_rig(rig_file(tmp_path, head=TIMED))
-        joined = ingest(paths[0], rig, output, "run", tmp_path, paths[1:])
+        joined = ingest(SourceFile(paths[0], rig, tuple(paths[1:])), output, "run", tmp_path)
         with pytest.raises(DataError, match=r"y\.csv: channel 'y' of 'f' has no number at sample 40 "):
             list(checked_blocks(joined))
 
@@ -257,7 +296,7 @@ def test_a_fresh_recording_is_left_alone_and_a_stale_one_is_made_again(tmp_path:
 def test_a_calibrated_recording_is_taken_as_it_is(tmp_path: Path) -> None:
     stored = ingested(tmp_path, csv_file(tmp_path, TWO, np.zeros((5, 2))), rig_file(tmp_path))
     with output_folder(tmp_path / "elsewhere") as output:
-        again = ingest(stored.path, load_rig(tmp_path / "rig.yaml"), output, "x", tmp_path)
+        again = ingest(SourceFile(stored.path, load_rig(tmp_path / "rig.yaml")), output, "x", tmp_path)
     assert again == stored and not (tmp_path / "elsewhere").exists()
 
 
@@ -397,4 +436,4 @@ def test_joined_files_are_not_resampled(tmp_path: Path) -> None:
     raw = csv_file(tmp_path, ["t [s]", "f"], np.column_stack([np.arange(9) / 10, np.arange(9)]))
     rig = load_rig(rig_file(tmp_path, "  f: {quantity: force}\n", "resample: 10 Hz\nchannels:\n"))
     with output_folder(tmp_path / "out") as output, pytest.raises(DataError, match="these files are joined"):
-        ingest(raw, rig, output, "run", tmp_path, [raw])
+        ingest(SourceFile(raw, rig, (raw,)), output, "run", tmp_path)

@@ -20,7 +20,7 @@ from labpipe.artefacts.writing import output_folder
 from labpipe.cli.main import run_command
 from labpipe.errors import DataError
 from labpipe.project import ingest as stage
-from labpipe.project.ingest import ingest, raw_recording
+from labpipe.project.ingest import SourceFile, ingest, raw_recording
 from labpipe.project.rig_file import load_rig
 from labpipe.raw_files import other_tables as parquet_table, tdms_table
 from tests.conftest import Command
@@ -94,7 +94,7 @@ def test_samples_and_findings_are_those_of_the_calibrated_recording(
     path = write(tmp_path, kind, faulty(seed), np.float32 if seed % 2 else np.float64)
     rig = load_rig(tmp_path / "rig.yaml")
     with output_folder(tmp_path / "out") as output:
-        stored = ingest(path, rig, output, "run", tmp_path)
+        stored = ingest(SourceFile(path, rig), output, "run", tmp_path)
         raw = raw_recording(path, rig, tmp_path)
         assert raw is not None
         samples = np.concatenate(list(raw.blocks(333)))

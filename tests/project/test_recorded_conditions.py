@@ -12,7 +12,7 @@ import pytest
 from labpipe.artefacts.recording_file import open_recording
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import ConfigError
-from labpipe.project.ingest import ingest
+from labpipe.project.ingest import SourceFile, ingest
 from labpipe.project.one_test import recorded_conditions
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import si_amount
@@ -40,7 +40,7 @@ def recording(tmp_path: Path):
     np.savetxt(tmp_path / "run.csv", columns, delimiter=",", header="w,oil,key,flow", comments="")
     (tmp_path / "rig.yaml").write_text(RIG)
     with output_folder(tmp_path / "out") as output:
-        ingest(tmp_path / "run.csv", load_rig(tmp_path / "rig.yaml"), output, "run", tmp_path)
+        ingest(SourceFile(tmp_path / "run.csv", load_rig(tmp_path / "rig.yaml")), output, "run", tmp_path)
     return open_recording(tmp_path / "out/run.recording.parquet")
 
 

@@ -12,6 +12,7 @@ from hypothesis import given, strategies as st
 from labpipe.errors import ConfigErrors
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.settings_reader import conditions_in
+from labpipe.records.rig import Span
 
 RIG = (
     "name: {name}\nsample_rate: 1 kHz\nmass: {mass}\nchannels:\n  f: {{quantity: force, dof: x}}\n  x: "
@@ -409,10 +410,10 @@ def test_files_of_one_test_say_what_their_repeats_are(folder: Path) -> None:
 def test_a_calibrated_recording_keeps_its_channels(folder: Path) -> None:
     """Its dofs, delays and tables are those it was made with: entries that say others would do nothing."""
     (folder / "a.recording.parquet").touch()
-    for entry, place in (("channels: {x: {dof: y}}", 41), ("pattern: '{output}'", 41)):
+    for entry, place in (("channels: {x: {dof: y}}", 41), ("pattern: '{output}'", 41), ("end: 1 s", 41)):
         text = f"rig: rig.yaml\nrecordings: {{file: a.recording.parquet, {entry}}}\n{FRF}"
         word = entry.partition(":")[0]
-        what = "'a.recording.parquet' is calibrated, its channels stay as they are"
+        what = "'a.recording.parquet' is calibrated and stays as it is"
         hint = "name the raw file, or leave it out"
         assert faults(folder, text) == [f"p.yaml:2:{place}: recordings.{word}: {what}; {hint}"]
 
@@ -436,3 +437,19 @@ def test_files_of_a_channel_lie_beside_what_names_them(folder: Path) -> None:
         text = f"rig: runs/rig.yaml\nrecordings: {{file: runs/a.csv{entry}}}\n{FRF}"
         (source,) = load(folder, text).tests[0].recordings
         assert source.rig.channels[1].channel.response[0] == (0.0, gain, 0.0)
+
+
+def test_parts_of_one_file_are_recordings_of_their_own(folder: Path) -> None:
+    parts = "[{file: runs/a.csv, end: 9 s}, {file: runs/a.csv, start: 0.5 min}]"
+    (test,) = load(folder, f"rig: rig.yaml\nrecordings: {parts}\n{FRF}").tests
+    assert [(source.path.name, source.span) for source in test.recordings] == [
+        ("a.csv", Span(0.0, 9.0)),
+        ("a.csv", Span(30.0, None)),
+    ]
+    for entry, said in (
+        ("start: 9 s, end: 9 s", "2:44: recordings.end: 'end' must come after 'start'"),
+        ("strat: 9 s", "2:32: recordings.strat: unknown key; did you mean 'start'?"),
+        ("start: 9", "2:32: recordings.start: '9' has no unit; write it with its unit, e.g. '9 s'"),
+    ):
+        text = f"rig: rig.yaml\nrecordings: {{file: runs/a.csv, {entry}}}\n{FRF}"
+        assert faults(folder, text) == [f"p.yaml:{said}"]

@@ -17,7 +17,7 @@ from scipy.io import savemat
 
 from labpipe.artefacts.writing import output_folder
 from labpipe.errors import DataError
-from labpipe.project.ingest import ingest
+from labpipe.project.ingest import SourceFile, ingest
 from labpipe.project.inspect import inspect
 from labpipe.project.rig_file import load_rig
 from labpipe.project.scaffold import scaffold
@@ -347,7 +347,7 @@ def test_the_axis_of_an_lvm_spectrum_is_no_time(tmp_path: Path, title: str, dime
         output_folder(tmp_path / "out") as output,
         pytest.raises(DataError, match="'X_Value' is a frequency, no time"),
     ):
-        ingest(path, load_rig(rig), output, "s", tmp_path)
+        ingest(SourceFile(path, load_rig(rig)), output, "s", tmp_path)
     with pytest.raises(DataError, match="the file holds a spectrum"):
         scaffold([path], tmp_path)
 

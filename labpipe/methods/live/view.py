@@ -151,10 +151,7 @@ def _course(
     bench: Bench | None = None
     enough, left_out = None, []
     for source, name in zip(test.recordings, names, strict=True):
-        place = f"recordings/{name}"
-        recording = ingest(
-            source.path, source.rig, work.output, place, work.pipeline.folder, source.joined, source.by
-        )
+        recording = ingest(source, work.output, f"recordings/{name}", work.pipeline.folder)
         if bench is None:
             channels, rate = recording.channels, recording.sample_rate
             plain = [replace(fit, test=()) for fit in fits if not obstacle(fit, frf, channels, rate)]

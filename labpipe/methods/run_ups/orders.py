@@ -22,7 +22,7 @@ from labpipe.methods.run_ups.measured import added_since, run_up_of
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.methods.run_ups.settings import MANY_PULSES, ONE_PULSE
-from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.ingest import SourceFile, ingest, is_recording
 from labpipe.project.measured import file_stems
 from labpipe.project.rig_file import load_rig
 from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
@@ -245,7 +245,7 @@ def track_run(
     if rig is None and not is_recording(source):
         raise ConfigError("a raw file needs its rig file", source, "add -r RIG")
     # A calibrated recording is opened as it is, whatever the rig.
-    recording = ingest(source, rig or Rig("", ()), output, f"{source.stem}{suffix}", Path.cwd())
+    recording = ingest(SourceFile(source, rig or Rig("", ())), output, f"{source.stem}{suffix}", Path.cwd())
     track = track_order(recording, lines, order=order, revolutions=revolutions)
     circles = tuple(plane_track(track, plane) for plane in track.planes)
     run = TrackedRun(recording.name, tuple(recording.channels), track, circles, clearance)

@@ -20,7 +20,7 @@ from labpipe.methods.run_ups.rotor import RunUpRotor
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
 from labpipe.methods.run_ups.settings import ProbeUncertainties, RunSettings, RunUpSettings, turning
 from labpipe.project.deciding import Compared
-from labpipe.project.ingest import ingest, is_recording
+from labpipe.project.ingest import SourceFile, ingest, is_recording
 from labpipe.project.judging import CompareNumber, compare_covers, compare_warnings
 from labpipe.project.measured import file_stem, file_stems
 from labpipe.project.rules import Rule
@@ -95,7 +95,8 @@ def _open(
 ) -> StoredRecording:
     if settings.recorded_by is None and not is_recording(path):
         raise DataError("a raw file needs its rig file", path, "add rig: FILE to the entry")
-    return ingest(path, settings.recorded_by or Rig("", ()), output, f"recordings/{file_stem(name)}", folder)
+    source = SourceFile(path, settings.recorded_by or Rig("", ()))
+    return ingest(source, output, f"recordings/{file_stem(name)}", folder)
 
 
 def _track(
