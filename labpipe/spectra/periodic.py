@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -322,10 +323,10 @@ class Distortion:
         return np.sqrt(np.maximum(self.total**2 - self.noise**2, 0.0))
 
 
-def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
+def robust_distortion(realisations: Sequence[FrequencyResponse], single: bool = False) -> Distortion:
     """Distortion from FRFs of one rig under several random-phase realisations of one excitation. The robust
     method (Pintelon and Schoukens, System Identification, 2nd ed., sec. 4.3.1). DataError for fewer than two
-    realisations, different lines, or FRFs of single periods.
+    realisations, different lines, or FRFs of *single* periods unless their unknown noise is to count as 0.
     """
     if len(realisations) < 2:
         what = "distortion needs at least two realisations of the phases"
@@ -334,14 +335,12 @@ def robust_distortion(realisations: Sequence[FrequencyResponse]) -> Distortion:
     for other in realisations:
         if other.frequency.shape != first.frequency.shape or np.any(other.frequency != first.frequency):
             raise DataError(f"'{other.name}' has other lines than '{first.name}'")
-        if other.variance is None:
+        if other.variance is None and not single:
             what = f"'{other.name}' has no covariance, so its noise level is unknown"
             raise DataError(what, hint="record several periods")
-    matrices = [response.matrix for response in realisations]
-    total = np.var(matrices, axis=0, ddof=1)
-    return Distortion(
-        _mean_of(realisations, "matrix"), np.sqrt(total), np.sqrt(_mean_of(realisations, "variance"))
-    )
+    total = np.var([response.matrix for response in realisations], axis=0, ddof=1)
+    noise = np.zeros(total.shape) if single else np.sqrt(_mean_of(realisations, "variance"))
+    return Distortion(_mean_of(realisations, "matrix"), np.sqrt(total), noise)
 
 
 # A kind of lines that the force leaves out is looked at from so many on; what moves there is named from this
@@ -449,6 +448,14 @@ def _left_out_notes(
     )
 
 
+# Share of the lines of a realisation that the others must have; what a response has at every line.
+MOST_COMMON = 0.5
+BY_LINE = (
+    "frequency", "matrix", "covariance", "coherence", "multiple_coherence", "partial_coherence", "change",
+    "open_loop", "snr",
+)  # fmt: skip
+
+
 def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     """The recordings of the first realisation, of the second, ...: for every set of forces in order, as many
     as it has forces. DataError unless every set of forces has the same number of realisations, at least two.
@@ -471,26 +478,52 @@ def realisations(sources: Sequence[SampleSource]) -> list[list[SampleSource]]:
     ]
 
 
+def at_common_lines(responses: Sequence[FrequencyResponse]) -> list[FrequencyResponse]:
+    """The *responses* at the lines that all have: at weak ones a force stands out of its noise in some
+    realisations alone. DataError where most lines of any are not common.
+    """
+    common: FloatArray = reduce(np.intersect1d, [response.frequency for response in responses])
+    first, parts = responses[0], []
+    for other in responses:
+        if common.size < MOST_COMMON * other.n_frequency:
+            raise DataError(f"'{other.name}' has other lines than '{first.name}'")
+        lines = np.isin(other.frequency, common)
+        values = {name: getattr(other, name) for name in BY_LINE}
+        chosen = {name: value[lines] for name, value in values.items() if value is not None}
+        errors = tuple(replace(error, change=error.change[lines]) for error in other.errors)
+        parts.append(other if np.all(lines) else replace(other, **chosen, errors=errors))
+    return parts
+
+
 def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> FrequencyResponse:
     """The mean response with its distortion; covariance of noise plus nonlinear scatter, each divided by
-    the number M of realisations. Raises as robust_distortion does. Equation (frf-robust).
+    the number M of realisations. Of single periods, whose noise is unknown, the scatter is that of both, and
+    no distortion is told. Raises as robust_distortion does. Equation (frf-robust).
     """
+    responses = at_common_lines(responses)
     first, m = responses[0], len(responses)
-    levels = robust_distortion(responses)
+    is_single = any(response.covariance is None for response in responses)
+    levels = robust_distortion(responses, is_single)
     every = np.ones(first.n_frequency, bool)
     excess = neighbourhood_mean(levels.total**2 - levels.noise**2, every, half_width)
     distortion = np.sqrt(np.maximum(excess, 0.0))
     size = np.sqrt(np.mean(np.abs(levels.gain) ** 2))
-    sizes = (100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, levels.noise))
-    message = (
-        "{} realisations of the phases: nonlinearity scatters the FRF by {:.2g} % (rms), "
-        "noise by {:.2g} % in each"
+    excess_size, noise = (
+        100 * float(np.sqrt(np.mean(level**2)) / size) for level in (distortion, levels.noise)
     )
+    message = f"{m} realisations of the phases: nonlinearity scatters the FRF by {excess_size:.2g} % (rms), "
+    message += f"noise by {noise:.2g} % in each"
+    of_noise = 0.0 if is_single else _mean_of(responses, "covariance")
+    if is_single:
+        message = (
+            f"{m} realisations of the phases, of a single period each: nonlinearity and noise together "
+            f"scatter the FRF by {excess_size:.2g} % (rms); two periods of each would tell them apart"
+        )
     return replace(
         first,
         matrix=levels.gain,
-        covariance=(_mean_of(responses, "covariance") + diagonal_covariance(distortion**2)) / m,
-        distortion=distortion / np.sqrt(m),
+        covariance=(of_noise + diagonal_covariance(distortion**2)) / m,
+        distortion=None if is_single else distortion / np.sqrt(m),
         # A resonance that follows the phases moves all its lines together, which no variance of a line says.
         repeats=np.stack([response.matrix for response in responses]),
         repeat_names=tuple(f"realisation {number}" for number in range(1, m + 1)),
@@ -508,8 +541,10 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
             sum(response.covariance_dof for response in responses), (m - 1) * (2 * half_width + 1.0)
         ),
         findings=(
-            *dict.fromkeys(f for response in responses for f in response.findings),
-            note("distortion", message.format(m, *sizes)),
+            *dict.fromkeys(
+                f for response in responses for f in response.findings if f.code != "no-covariance"
+            ),
+            note("distortion", message),
         ),
     )
 
