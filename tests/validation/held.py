@@ -99,12 +99,13 @@ def quantities(place: Place) -> Iterator[Stated]:
     """Frequency and damping of the mode of a fit that is nearest to what others say."""
     of = SETS[place.set]["labpipe"][place.run][place.fit]
     values = of["values"]
-    numbers = [name.removeprefix("f_n_") for name in values if name.startswith("f_n_")]
+    # The one mass of a model has its frequency without a number.
+    numbers = [name.removeprefix("f_n") for name in values if name.startswith("f_n")]
     reference = float(np.median(place.others["frequency"]))
-    number = min(numbers, key=lambda at: abs(values[f"f_n_{at}"]["value"] - reference))
+    number = min(numbers, key=lambda at: abs(values[f"f_n{at}"]["value"] - reference))
     for quantity, name in NAMES.items():
         if quantity in place.others:
-            one = values[f"{name}_{number}"]
+            one = values[f"{name}{number}"]
             interval = None if one["interval"] is None else (one["interval"][0], one["interval"][1])
             yield Stated(place, quantity, one["value"], interval, tuple(of["warnings"]))
 
@@ -198,6 +199,14 @@ def clamped_places() -> list[Place]:
     return [*decays, Place("clamped beam", "clamped beam, hit", "first", both)]
 
 
+def silverbox_places() -> list[Place]:
+    said = nearest_places("silverbox")
+    return [
+        Place("silverbox", run, "oscillator", joined(*said[run.partition(", ")[2]]))
+        for run in SETS["silverbox"]["labpipe"]
+    ]
+
+
 def decays_of(name: str) -> list[Place]:
     """Every run of the ring-downs of a set: its authors, and curve_fit of each decay."""
     places = []
@@ -265,6 +274,7 @@ def everything() -> list[Stated]:
         *wing_places(),
         *frame_places(),
         *clamped_places(),
+        *silverbox_places(),
     ]
     return [stated for place in places for stated in quantities(place)]
 

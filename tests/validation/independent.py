@@ -72,3 +72,28 @@ def modes_of_record(
     step = np.concatenate([first[:number] * first[number:], first[number:]])
     best = least_squares(left, first, x_scale=step, max_nfev=60).x
     return [(float(a), float(b)) for a, b in zip(best[:number], best[number:], strict=True)]
+
+
+# The electronic oscillator of a benchmark: rate [Hz], samples of a period, odd lines of the multisines.
+RATE, PERIOD, LINES = 610.3515625, 8192, np.arange(135, 2013, 2)
+
+
+def equivalent_frequency(period: np.ndarray, variance: float) -> float:
+    """Natural frequency [Hz] under motion of a *variance*, from a *period* (n_sample, 2) of force and motion.
+
+    m y'' + c y' + k y + k2 y^2 + k3 y^3 = u is linear in its coefficients at the lines of a period
+    (force-state mapping, Masri and Caughey 1979); under Gaussian motion of variance s^2 the spring is on the
+    whole as stiff as k + 3 k3 s^2 (statistical linearisation, Caughey 1963).
+    """
+    w = 2 * np.pi * LINES * RATE / PERIOD
+    u, y = period[:, 0], period[:, 1] - period[:, 1].mean()
+    force, motion, square, cube = (np.fft.rfft(of)[LINES] for of in (u, y, y**2, y**3))
+    terms = np.stack([-(w**2) * motion, 1j * w * motion, motion, square, cube], axis=1)
+    # Errors of the motion act on the force by the dynamic stiffness: over that they count alike.
+    weight = np.ones(LINES.size)
+    for _ in range(4):
+        m, c, k, _, k3 = np.linalg.lstsq(
+            stacked(terms * weight[:, None]), stacked(force * weight), rcond=None
+        )[0]
+        weight = 1 / np.abs(k - m * w**2 + 1j * c * w)
+    return float(np.sqrt((k + 3 * k3 * variance) / m) / (2 * np.pi))

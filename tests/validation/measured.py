@@ -23,6 +23,7 @@ from tests.validation.held import (
     plate_places,
     quantities,
     ruler_places,
+    silverbox_places,
     tool_places,
     wing_places,
 )
@@ -167,6 +168,7 @@ METHOD = Method(
         "wing": lambda: stated(wing_places(), "Arroju 2018; independent", EXCITED),
         "frame": lambda: stated(frame_places(), "Sid 2026; independent", MOVED),
         "clamped beam": lambda: stated(clamped_places(), "non_linear_beam, 2024; curve_fit", ONE_NUMBER),
+        "silverbox": lambda: stated(silverbox_places(), "Rafa7046, 2023; independent", ""),
         "not tested": partial(gaps, "measured"),
     },
 )

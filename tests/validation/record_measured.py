@@ -34,7 +34,7 @@ from scipy.stats import f as f_distribution
 import labpipe
 from labpipe.records.identification import Fit
 from labpipe.spectra.settings import FreeDecaySettings, FrfSettings
-from tests.validation.independent import mode_of_frf, modes_of_record
+from tests.validation.independent import PERIOD, RATE, equivalent_frequency, mode_of_frf, modes_of_record
 from tests.validation.measured_page import BLOCKS, RIGS
 
 FILE = Path(__file__).parent / "recorded/measured.json"
@@ -135,6 +135,11 @@ SETS |= {
         "b0dc87be513d28828fa67a6c0c76f9538194ce6d",
         {f"mec-t1-{of}.txt": f"{CLAMPED}mec-t1-{of}.txt" for of in ("force", "velocity")},
     ),
+    "silverbox": RawSet(
+        "Rafa7046/Non_Linear_Identification",
+        "e5c9b006b0a2ec1650bc018a5fb38d2f4363d4c7",
+        {"SNLS80mV.csv": "src/data/SNLS80mV.csv"},
+    ),
 }
 
 
@@ -189,6 +194,8 @@ RUNS = {
         "clamped beam", "Clamped beam", {"frf.decay": {"start": "0.5 s", "end": "4 s"}}
     ),
     "clamped beam, hit": Run("clamped beam", "Clamped beam, force and velocity"),
+    "silverbox, multisines": Run("silverbox", "Silverbox, ten realisations"),
+    "silverbox, noise": Run("silverbox", "Silverbox, the noise while it is weak"),
 }
 # Decays that curve_fit is given as well: recording, column, band [Hz].
 DECAYS = {
@@ -420,6 +427,8 @@ def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
             for place, (half, ratio) in STOREYS.items()
             for at in (float(place),)
         }
+    elif name == "silverbox":
+        return silverbox(columns(folder / "SNLS80mV.csv", 2))
     elif name in SINGLE:
         single = [frfs(folder, title) for title in TITLES.get(name, [name])]
         every = [(f, h) for f, rows in single for h in rows]
@@ -433,6 +442,25 @@ def independent(folder: Path, name: str) -> dict[str, dict[str, list[float]]]:
         place: {"frequency": [mode[0] for mode in modes], "ratio": [mode[1] for mode in modes]}
         for place, modes in of_mode.items()
     }
+
+
+def silverbox(record: np.ndarray) -> dict[str, dict[str, list[float]]]:
+    """The oscillator by output error on each steady multisine, 14.2413 s apart, and on the whole and the
+    quarters of the weak noise; its frequencies by statistical linearisation as well.
+    """
+    firsts = [round(RATE * (67.0 + round(14.2413 * number, 2))) for number in range(10)]
+    periods = [record[first : first + PERIOD] for first in firsts]
+    noise = record[round(2.2 * RATE) : round(15 * RATE)]
+    found = {}
+    for place, parts in (("multisines", periods), ("noise", [noise, *np.array_split(noise, 4)])):
+        modes = [modes_of_record(*part.T, RATE, (10.0, 150.0), [(69.0, 0.048)])[0] for part in parts]
+        variance = float(np.mean([part[:, 1].var() for part in parts]))
+        linearised = [equivalent_frequency(period, variance) for period in periods]
+        found[place] = {
+            "frequency": [*(mode[0] for mode in modes), *linearised],
+            "ratio": [mode[1] for mode in modes],
+        }
+    return found
 
 
 def of_spectra(folder: Path, name: str) -> dict[str, float]:
