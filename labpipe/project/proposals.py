@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -46,6 +47,24 @@ class FirstLook:
         """The same, with forces that act at no point of a response: its phase denies it."""
         apart = (replace(c, dof=c.key) if c.role == "input" else c for c in self.channels)
         return replace(self, channels=tuple(apart))
+
+    def with_one_quantity(self) -> FirstLook:
+        """The same with responses of one quantity alone, the most frequent, since a matrix of FRFs holds no
+        others: those are references. A stator that floats has both displacements and accelerations in two
+        directions.
+        """
+        outputs = Counter(channel.quantity for channel in self.channels if channel.role == "output")
+        floats = min(outputs["displacement"], outputs["acceleration"]) > 1
+        if floats or not self.column_of("input") or not outputs:
+            return self
+        ((kept, _),) = outputs.most_common(1)
+        beside = (
+            replace(channel, role="reference")
+            if channel.role == "output" and channel.quantity != kept
+            else channel
+            for channel in self.channels
+        )
+        return replace(self, channels=tuple(beside))
 
     def column_of(self, role: str) -> list[int]:
         return [number for number, channel in enumerate(self.channels) if channel.role == role]

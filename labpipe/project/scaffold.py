@@ -95,10 +95,14 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
         files = [file for file, turns in zip(files, running, strict=True) if not turns]
         paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
     joined = _join_files(files) if len(files) > 1 else None
-    first = first_look(joined or open_table(files[0]))
+    seen = first_look(joined or open_table(files[0]))
+    first = seen.with_one_quantity()
+    beside = [new.key for old, new in zip(seen.channels, first.channels, strict=True) if old != new]
     if joined:
         paths = [f"{{join: {_quote(paths)}}}"]
     pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
+    if beside:
+        pipeline += BESIDE.format(", ".join(beside))
     if "model: modal" in pipeline:
         first = first.move_forces_apart()
     return Scaffold(_rig(first, files[0]), pipeline)
@@ -198,7 +202,7 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
     tacho = None if inputs else turning_tacho(first)
     decays = {} if inputs or tacho else decay_bands(first, outputs)
-    # Displacements and accelerations were recorded together, which one response matrix cannot hold.
+    # Displacements and accelerations of a stator, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
         return _pipeline_of_stator(first, excitation, paths)
@@ -233,6 +237,9 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     return "\n".join([*lines, coupled]) + "\n"
 
 
+BESIDE = """# Not among the FRFs: {}. One matrix holds one quantity; for theirs swap `role: output` and
+# `role: reference` in rig.yaml. `result: spectra` holds all.
+"""
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
 RUNNING = """# No force, and a tacho: the shaft runs, and its unbalance is the force. From this folder
 #   labpipe orders {} -r rig.yaml --tacho {} -o orders

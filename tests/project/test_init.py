@@ -493,6 +493,29 @@ def test_channels_of_one_quantity_are_one_decision(tmp_path: Path, labpipe) -> N
     assert [channel.unit for channel in channels] == 2 * ["m/s^2"]
 
 
+@pytest.mark.parametrize(("axes", "model"), [("x", "sdof"), ("xy", "dynamic-stiffness")])
+def test_displacement_and_acceleration_of_one_force_run_as_they_are(
+    tmp_path: Path, labpipe, axes: str, model: str
+) -> None:
+    """The acceleration of a mass beside its displacement is a reference, since a matrix holds one quantity; k
+    is the closed form's. In two directions they are those of a stator.
+    """
+    force, y = signals()
+    columns = {"t [s]": np.arange(y.size) / RATE, "force [N]": force}
+    for axis, motion in zip(axes, (y, y - 0.1 * force / K), strict=False):
+        acceleration = np.gradient(np.gradient(motion)) * RATE**2
+        columns |= {f"disp {axis} [m]": motion, f"acc {axis} [m/s^2]": acceleration}
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=",".join(columns), comments="")
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.csv").code == 0
+    pipeline = tmp_path / "rig/pipeline.yaml"
+    assert f"model: {model}" in pipeline.read_text()
+    assert ("# Not among the FRFs: acc_x." in pipeline.read_text()) == (model == "sdof")
+    if model == "sdof":
+        assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+        assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-3)
+
+
 def test_blocks_of_random_excitation_are_long_enough_for_the_peak(tmp_path: Path, labpipe) -> None:
     """1024 samples at 10 Hz of a mode 0.08 Hz wide: sixteenths of the record have 0.2 Hz between lines.
 

@@ -431,7 +431,7 @@ def noisy_hits(seed: int, hits: int, n: int, rate: float) -> np.ndarray:
     return np.column_stack([force, moved]) + noise
 
 
-@pytest.mark.parametrize("highest", [60, 300])
+@pytest.mark.parametrize("highest", [60, pytest.param(300, marks=pytest.mark.long)])
 def test_noise_of_a_hammer_within_its_window_is_counted_as_in_a_run(highest):
     """White noise of 1 % of the peak within a window of 30 ms is one error of neighbouring lines: k of 12
     records scatters by what is stated (5.6 times that, and every sixth hit left out, by lines alone), with

@@ -29,7 +29,7 @@ def test_power_of_lines_that_share_their_noise() -> None:
     assert 400 * np.var(powers) / np.mean(powers) ** 2 == pytest.approx(hann, rel=0.1)
 
 
-@pytest.mark.parametrize(("n_output", "n_hit"), [(2, 16), (6, 16)])
+@pytest.mark.parametrize(("n_output", "n_hit"), [(2, 16), pytest.param(6, 16, marks=pytest.mark.long)])
 def test_modes_of_hits_under_an_exponential_window_scatter_as_stated(n_output: int, n_hit: int) -> None:
     """Two modes in closed form, struck by one sample, and white noise: twelve records. Neighbouring lines
     share their noise by up to .85, and six responses lose by weights that 16 hits estimate.

@@ -220,6 +220,7 @@ def test_onset_is_where_the_growth_rate_changes_its_sign(fitted) -> None:
     assert below < 0 < above and 0 < error < 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("refitted", [True, False])
 def test_the_onset_has_the_interval_of_speeds_not_of_growth(fitted, refitted) -> None:
     """Internal damping times e^-1 to e, and normal draws of it: the speed of each by a search of its own.
