@@ -277,11 +277,11 @@ def _node(name: str) -> str:
 
 
 def _direction(name: str) -> str:
-    """x, y or z where the name has one as a word or at its end."""
+    """x, y or z where the name has one as a word or at its end, or as that of a force: Fx."""
     plain_name = _BRACKETS.sub(" ", name)
     match = re.search(r"(?:^|[_\W\d])([xyz])(?:$|[_\W\d])", plain_name, re.I)
-    match = match or re.search(r"[a-z]([XYZ])\b", plain_name)
-    return match[1].lower() if match else ""
+    match = match or re.search(r"[a-z]([XYZ])\b|\b[Ff]([xyz])\b", plain_name)
+    return (match[1] or match[2]).lower() if match else ""
 
 
 def _key(name: str, used_keys: Sequence[str]) -> str:

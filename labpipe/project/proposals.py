@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,11 +24,11 @@ from labpipe.spectra.free_decays import free_decays
 from labpipe.spectra.measurement import measure
 from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import at_rest
-from labpipe.spectra.sweeps import find_sweeps
+from labpipe.spectra.sweeps import find_dwells, find_sweeps
 
 # Largest over rms of a sweep of one level, the square root of two and some noise.
 STEADY_CREST = 1.9
-# Share of a record that sweeps take where they are its excitation.
+# Share of a record that dwells or sweeps take where they are its excitation.
 SWEPT = 0.4
 # Volts that drive a shaker repeat at least so many times as exactly as the force that it makes of them.
 CLEANER = 3.0
@@ -121,10 +122,17 @@ def _with_sweep(
 
 
 def excitation_of(force: FloatArray, rate: float) -> Excitation:
-    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], sweeps among what has no period."""
+    """The kind of a force (n_sample,) [any unit] at a *rate* [Hz], dwells and sweeps among what has no
+    period.
+    """
     seen = look(force, rate)
     if seen.kind != "random":
         return seen
+    with suppress(DataError):
+        dwells = find_dwells(force)
+        if sum(dwell.stop - dwell.start for dwell in dwells) >= SWEPT * force.size:
+            tones = [dwell.frequency * rate for dwell in dwells]
+            return Excitation("stepped-sine", force.size, (min(tones), max(tones)), len(dwells))
     try:
         sweeps = find_sweeps(force)
     except DataError:
@@ -224,7 +232,9 @@ def _proposals(
         keys = {"period": length, "skip": 1 if excitation.repeats > 2 else 0}
     if drive is not None:
         keys["reference"] = (first.channels[drive].key,)
-    settings = FrfSettings(excitation=excitation.kind, band=excitation.band, **keys)
+    # A dwell may lie beside its own frequency by rounding.
+    band = None if excitation.kind == "stepped-sine" else excitation.band
+    settings = FrfSettings(excitation=excitation.kind, band=band, **keys)
     try:
         response = measure([Recording(channels, first.rows[:, chosen], first.rate)], settings)
     except DataError:

@@ -232,7 +232,8 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if not outputs:
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
-    lines.extend(_lines_of_all_fits(force, {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}))
+    fits = {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}
+    lines.extend(_rotor_fit(first, peaks) or _lines_of_all_fits(force, fits))
     coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     return "\n".join([*lines, coupled]) + "\n"
 
@@ -290,17 +291,19 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
         "impact": f"{excitation.repeats} hits",
+        "stepped-sine": f"{excitation.repeats} dwells",
         "sweep": f"{excitation.repeats} sweep(s)",
     }[excitation.kind]
     low, high = excitation.band
     length = f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
     length = f"{excitation.length / rate:.12g} s" if rate else length
     lines = ["frf:", _remark(f"  excitation: {excitation.kind}", remark)]
-    if excitation.kind != "sweep":
-        lines.append(f"  {'period' if excitation.kind == 'periodic' else 'block'}: {length}")
+    if excitation.kind in ("random", "impact"):
+        lines.append(f"  block: {length}")
     if excitation.kind == "periodic":
+        lines.append(f"  period: {length}")
         lines.append(_remark(f"  skip: {1 if excitation.repeats > 2 else 0}", "transient periods"))
-    if rate:
+    if rate and excitation.kind != "stepped-sine":
         # The line at 0 Hz says nothing of a motion.
         low = low or rate / excitation.length
         lines.append(_remark(f"  band: {low:.6g}-{high:.6g} Hz", "where the force has power"))
@@ -320,6 +323,22 @@ def _lines_of_all_fits(force: str, fits: Fits, estimator: str = "ml") -> list[st
         if some and not proposal.is_mode:
             fit = [f"# no peak of {output} looks like a mode:", *(f"# {line}" for line in fit)]
         lines += fit
+    return lines
+
+
+def _rotor_fit(first: FirstLook, peaks: Mapping[str, Proposal]) -> list[str]:
+    """One fit of both directions, where two forces act along those of two responses; else no lines."""
+    forces, responses = (
+        [first.channels[number].dof for number in first.column_of(role)] for role in ("input", "output")
+    )
+    if len(forces) != 2 or sorted(forces) != sorted(responses) or not set(forces) < set("xyz"):
+        return []
+    mass = f"    mass: {DECIDE}    {MARK} what moves in the bearings, with its uncertainty: 1 kg +- 0.01 kg"
+    lines = ["  rotor:", _remark("    model: rotor-2dof", "k and c of both directions and across"), mass]
+    bands = [proposal.band for proposal in peaks.values() if proposal.band is not None]
+    if bands:
+        low, high = min(low for low, _ in bands), max(high for _, high in bands)
+        lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peaks"))
     return lines
 
 

@@ -516,6 +516,46 @@ def test_displacement_and_acceleration_of_one_force_run_as_they_are(
         assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-3)
 
 
+def test_dwells_at_one_frequency_after_another_are_a_stepped_sine(tmp_path: Path, labpipe) -> None:
+    """The steady motion of a mass on a spring in closed form, 8 s at each of 13 frequencies."""
+    t, rng = np.arange(8000) / RATE, np.random.default_rng(6)
+    rows = []
+    for omega in 2 * np.pi * np.arange(26.0, 39.0):
+        sine = np.exp(1j * omega * t)
+        rows.append(np.stack([sine.imag, (sine / (K - MASS * omega**2 + 1j * C * omega)).imag], axis=1))
+    signals = np.concatenate(rows)
+    signals += rng.normal(size=signals.shape) * [1e-3, 1e-7]
+    savemat(tmp_path / "r.mat", {"fs": RATE, "force": signals[:, 0], "probe": signals[:, 1]})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "r.mat").code == 0
+    decide(tmp_path / "rig", {"force.unit": "N", "probe.unit": "m"})
+    pipeline = tmp_path / "rig/pipeline.yaml"
+    assert "excitation: stepped-sine     # 13 dwells" in pipeline.read_text()
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-3)
+
+
+def test_two_forces_along_two_responses_are_a_rotor(tmp_path: Path, labpipe) -> None:
+    """Noise in both directions on coupled springs, motion by the closed form of the whole record: all that is
+    asked for is the mass.
+    """
+    stiffness, rng = np.array([[K, 8e3], [-8e3, 1.2 * K]]), np.random.default_rng(4)
+    force, omega = rng.normal(size=(60_000, 2)), 2 * np.pi * np.fft.rfftfreq(60_000, 1 / RATE)[:, None, None]
+    dynamic = stiffness + (1j * omega * C - omega**2 * MASS) * np.eye(2)
+    motion = np.fft.irfft(np.linalg.solve(dynamic, np.fft.rfft(force, axis=0)[..., None])[..., 0], axis=0)
+    motion += 1e-9 * rng.normal(size=motion.shape)
+    columns = dict(zip(("Fx", "Fy", "x", "y"), np.hstack([force, motion]).T, strict=True))
+    savemat(tmp_path / "r.mat", {"fs": RATE, **columns})
+    assert labpipe("init", tmp_path / "rig", tmp_path / "r.mat").code == 0
+    rig, pipeline = tmp_path / "rig/rig.yaml", tmp_path / "rig/pipeline.yaml"
+    units = rig.read_text().replace("&displacement DECIDE", "m").replace("*displacement", "m")
+    rig.write_text(units.replace("&force DECIDE", "N").replace("*force", "N"))
+    pipeline.write_text(pipeline.read_text().replace("mass: DECIDE", f"mass: {MASS} kg"))
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    values = {one["name"]: one["value"] for one in first_fit(tmp_path / "out")["parameters"]}
+    found = [values[name] for name in ("k_xx", "k_xy", "k_yx", "k_yy")]
+    assert found == pytest.approx(stiffness.ravel().tolist(), rel=0.01)
+
+
 def test_blocks_of_random_excitation_are_long_enough_for_the_peak(tmp_path: Path, labpipe) -> None:
     """1024 samples at 10 Hz of a mode 0.08 Hz wide: sixteenths of the record have 0.2 Hz between lines.
 
