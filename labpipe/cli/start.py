@@ -89,16 +89,20 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
         raise ConfigError(f"already holds {', '.join(existing)}", folder, "name a new folder")
     with output_folder(folder) as output:
         if example is not None:
-            pipeline = _example(example, folder, output)
+            following = _example(example, folder, output)
         elif recordings:
-            pipeline = _from_recordings(recordings, folder, output)
+            following = _from_recordings(recordings, folder, output)
         else:
-            pipeline = _sample(folder, output)
-        echo(f"next: labpipe run {pipeline} -o {folder / 'out'}")
+            following = _sample(folder, output)
+        echo(f"next: labpipe {following}")
 
 
-def _example(name: str, folder: Path, output: OutputFolder) -> Path:
-    # Copy an example's pipelines with all they name
+def _run(folder: Path, pipeline: str) -> str:
+    return f"run {folder / pipeline} -o {folder / 'out'}"
+
+
+def _example(name: str, folder: Path, output: OutputFolder) -> str:
+    # Copy an example's pipelines with all they name; the command that runs the first, as of all below
     found = examples()
     if name not in found:
         raise ConfigError(f"no example '{name}'", hint=nearest(name, found))
@@ -111,10 +115,10 @@ def _example(name: str, folder: Path, output: OutputFolder) -> Path:
         output.write_path(path.relative_to(root).as_posix()).write_bytes(path.read_bytes())
     pipelines = [pipeline.name for pipeline in found[name]]
     echo(f"written to {folder}: {', '.join(pipelines)}, configs, sample_data")
-    return folder / "pipelines" / pipelines[0]
+    return _run(folder, f"pipelines/{pipelines[0]}")
 
 
-def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> Path:
+def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputFolder) -> str:
     project = scaffold(recordings, folder)
     texts = dict(zip(SCAFFOLD, (project.rig, project.pipeline), strict=True))
     names = [name for name, text in texts.items() if text]
@@ -123,15 +127,19 @@ def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputF
     echo(f"written to {folder}: {', '.join(names)}")
     if project.decisions:
         echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
-    return folder / "pipeline.yaml"
+    if project.tacho:
+        return (
+            f"orders {recordings[0]} -r {folder / 'rig.yaml'} --tacho {project.tacho} -o {folder / 'orders'}"
+        )
+    return _run(folder, "pipeline.yaml")
 
 
-def _sample(folder: Path, output: OutputFolder) -> Path:
+def _sample(folder: Path, output: OutputFolder) -> str:
     for name in SCAFFOLD:
         output.write_path(name).write_bytes(files("labpipe.cli").joinpath("scaffold", name).read_bytes())
     simulate_files(VIRTUAL_RIGS.load(SCAFFOLD_RIG).settings(SCAFFOLD_RIG), 1, ["pedestal"], output)
     echo(f"written to {folder}: {', '.join(SCAFFOLD)}, pedestal.csv, truth.json")
-    return folder / "pipeline.yaml"
+    return _run(folder, "pipeline.yaml")
 
 
 @click.command()

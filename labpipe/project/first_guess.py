@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -34,6 +35,7 @@ _RECORDED = (
 )  # fmt: skip
 _BRACKETS = re.compile(r"\[.*?\]|\(.*?\)")
 _POINT = re.compile(r"^(?:[^\d:]*|[^:]*:)(\d+):?([+-])[XYZ](?:_\d+)?$")
+_BASE = re.compile(r"\b(?:base|table|foundation|ground|tisch|fundament)\b", re.IGNORECASE)
 _BY_NAME = (
     ("tacho", r"tacho|key.?phasor|\bkey\b|trigger|rpm|drehzahl"),
     (
@@ -163,7 +165,9 @@ def windows_of_copies_alone(table: RawTable, measured: Sequence[str]) -> Finding
 def guess_channels(
     names: Sequence[str], units: dict[str, str], sensitivities: Mapping[str, str] | None = None
 ) -> list[GuessedChannel]:
-    """A channel for every column by its metadata. The force of a rig with one response acts along it."""
+    """A channel for every column by its metadata. The force of a rig with one response acts along it;
+    more responses in one direction than two of a pair are at different points.
+    """
     keys: list[str] = []
     for name in names:
         keys.append(_key(name, keys))
@@ -171,8 +175,22 @@ def guess_channels(
     guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
     if len({*map(_node, names)} - {""}) > 1:
         guessed = [replace(c, dof=f"{_node(c.column)}.{c.dof}") if _node(c.column) else c for c in guessed]
+    if sum(channel.role == "input" for channel in guessed) == 0:
+        guessed = _with_base(guessed)
     outputs = [channel for channel in guessed if channel.role == "output"]
+    at = Counter((channel.quantity, channel.dof) for channel in outputs)
+    guessed = [replace(c, dof=c.key) if at[c.quantity, c.dof] > 2 else c for c in guessed]
     return [_along(channel, outputs) for channel in guessed]
+
+
+def _with_base(channels: Sequence[GuessedChannel]) -> list[GuessedChannel]:
+    """The channels with a motion that is a base's by its name as what drives others of its quantity."""
+    for number, channel in enumerate(channels):
+        others = [c for c in channels if c.role == "output" and c.quantity == channel.quantity]
+        if channel.role == "output" and len(others) > 1 and _BASE.search(channel.column):
+            base = replace(channel, role="input", guess="what drives, by its name, which is a guess")
+            return [*channels[:number], base, *channels[number + 1 :]]
+    return list(channels)
 
 
 # Standard deviation over mean below which a force is none that drives.

@@ -63,10 +63,13 @@ def _remark(line: str, words: str) -> str:
 
 @dataclass(frozen=True)
 class Scaffold:
-    """The text of the two files; *rig* is empty where the files are FRFs."""
+    """The text of the two files; *rig* is empty where the files are FRFs. *tacho*: the channel that shows a
+    shaft that turns in a recording without a force.
+    """
 
     rig: str
     pipeline: str
+    tacho: str | None = None
 
     @property
     def decisions(self) -> list[str]:
@@ -100,12 +103,13 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     beside = [new.key for old, new in zip(seen.channels, first.channels, strict=True) if old != new]
     if joined:
         paths = [f"{{join: {_quote(paths)}}}"]
-    pipeline = _pipeline(first, files, paths) + "".join(f"{line}\n" for line in together)
+    tacho = None if first.column_of("input") else turning_tacho(first)
+    pipeline = _pipeline(first, files, paths, tacho) + "".join(f"{line}\n" for line in together)
     if beside:
         pipeline += BESIDE.format(", ".join(beside))
     if "model: modal" in pipeline:
         first = first.move_forces_apart()
-    return Scaffold(_rig(first, files[0]), pipeline)
+    return Scaffold(_rig(first, files[0]), pipeline, tacho)
 
 
 def _join_files(files: Sequence[Path]) -> JoinedTable | None:
@@ -197,10 +201,9 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     return f"  {channel.key}: {{{listed}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
 
-def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> str:
+def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tacho: str | None) -> str:
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
-    tacho = None if inputs else turning_tacho(first)
     decays = {} if inputs or tacho else decay_bands(first, outputs)
     # Displacements and accelerations of a stator, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
@@ -232,12 +235,20 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str]) -> 
     if not outputs:
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
+    of_base = bool(inputs) and first.channels[inputs[0]].quantity in MOTIONS
+    if of_base:
+        peaks = {key: replace(peaks.get(key, UNSEEN), model="base") for key in keys}
     fits = {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}
-    lines.extend(_rotor_fit(first, peaks) or _lines_of_all_fits(force, fits))
+    common = [] if of_base else _common_fit(first, peaks, excitation)
+    lines.extend(common or _lines_of_all_fits(force, fits))
     coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
     return "\n".join([*lines, coupled]) + "\n"
 
 
+# Quantities of a base that drives.
+MOTIONS = ("displacement", "velocity", "acceleration")
+# Responses that look like a mode, from which on all of them are one modal test.
+MODAL_TEST = 3
 BESIDE = """# Not among the FRFs: {}. One matrix holds one quantity; for theirs swap `role: output` and
 # `role: reference` in rig.yaml. `result: spectra` holds all.
 """
@@ -326,11 +337,19 @@ def _lines_of_all_fits(force: str, fits: Fits, estimator: str = "ml") -> list[st
     return lines
 
 
-def _rotor_fit(first: FirstLook, peaks: Mapping[str, Proposal]) -> list[str]:
-    """One fit of both directions, where two forces act along those of two responses; else no lines."""
+def _common_fit(first: FirstLook, peaks: Mapping[str, Proposal], excitation: Excitation | None) -> list[str]:
+    """One fit of all responses: of a rotor, where two forces act along those of two responses, or of modes,
+    where MODAL_TEST or more look like one; else no lines.
+    """
     forces, responses = (
         [first.channels[number].dof for number in first.column_of(role)] for role in ("input", "output")
     )
+    if sum(proposal.is_mode for proposal in peaks.values()) >= MODAL_TEST and excitation is not None:
+        what = "all responses together; `sdof` gives k and c where force and response meet"
+        low, high = excitation.band
+        low = low or 1 / (excitation.length / first.rate)
+        band = _remark(f"    band: {low:.6g}-{high:.6g} Hz", "a narrower one is fitted faster")
+        return ["  modes:", _remark("    model: modal", what), band]
     if len(forces) != 2 or sorted(forces) != sorted(responses) or not set(forces) < set("xyz"):
         return []
     mass = f"    mass: {DECIDE}    {MARK} what moves in the bearings, with its uncertainty: 1 kg +- 0.01 kg"
@@ -346,6 +365,7 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
     by_model = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
         "modal": [_remark("    model: modal", "`sdof` gives k and c where force and response meet")],
+        "base": [_remark("    model: base", "f_n and zeta; with mass: 1 kg also k and c")],
     }
     last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
     lines = [f"  {name}:", *by_model[proposal.model], f"    input: {force}", f"    output: {output}"]

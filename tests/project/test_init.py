@@ -429,7 +429,8 @@ def test_a_run_with_a_tacho_and_no_force_is_followed_by_orders(tmp_path: Path, l
     y = np.sin(2 * np.pi * turns) / (1 + (turns / t.max() / 10 - 1) ** 2)
     table = np.column_stack([t, y, np.where(turns % 1 < 0.2, 5.0, 0.0)])
     np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="t [s],probe [um],tacho [V]", comments="")
-    assert labpipe("init", tmp_path / "rig", tmp_path / "r.csv").code == 0
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "r.csv")
+    assert ended.code == 0 and f"next: labpipe orders {tmp_path / 'r.csv'} -r" in ended.out
     text = (tmp_path / "rig/pipeline.yaml").read_text()
     assert (
         "labpipe orders ../r.csv -r rig.yaml --tacho tacho -o orders" in text and "model: decay" not in text
@@ -514,6 +515,48 @@ def test_displacement_and_acceleration_of_one_force_run_as_they_are(
     if model == "sdof":
         assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
         assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=1e-3)
+
+
+def noise_through(h: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """60 s of noise, and what the responses *h* (n_channel, n_line) make of its whole record."""
+    force = rng.normal(size=60_000)
+    motion = np.fft.irfft(h * np.fft.rfft(force), force.size)
+    return force, (motion + 1e-4 * np.std(motion) * rng.normal(size=motion.shape)).T
+
+
+def test_sensors_in_one_direction_are_one_modal_test(tmp_path: Path, labpipe) -> None:
+    """Two modes at four points in closed form, all measured along z: one fit of all, no decision."""
+    w, rng = 2 * np.pi * np.fft.rfftfreq(60_000, 1 / RATE), np.random.default_rng(3)
+    h = np.zeros((4, w.size), complex)
+    for f_n, shape in ((40.0, [1, 0.8, 0.6, 0.4]), (90.0, [1, -0.5, -0.8, 0.6])):
+        pole = (2 * np.pi * f_n) ** 2 - w**2 + 2j * 0.01 * 2 * np.pi * f_n * w
+        h += np.outer(shape, -(w**2) / pole)
+    force, motion = noise_through(h, rng)
+    names = ["t [s]", "force [N]", *(f"P{number}+Z [m/s^2]" for number in range(1, 5))]
+    rows = np.column_stack([np.arange(force.size) / RATE, force, motion])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=",".join(names), comments="", fmt="%.8g")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.csv")
+    assert "to be decided" not in ended.out
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    values = {one["name"]: one["value"] for one in first_fit(tmp_path / "out")["parameters"]}
+    assert [values["f_n_1"], values["f_n_2"]] == pytest.approx([40.0, 90.0], rel=1e-4)
+    channels = load_pipeline(tmp_path / "rig/pipeline.yaml").tests[0].recordings[0].rig.channels
+    assert len({channel.channel.dof for channel in channels}) == 5
+
+
+def test_an_acceleration_that_is_a_base_by_its_name_drives(tmp_path: Path, labpipe) -> None:
+    """Transmissibility of a mass on a spring in closed form: its frequency without a decision."""
+    w, rng = 2 * np.pi * np.fft.rfftfreq(60_000, 1 / RATE), np.random.default_rng(3)
+    spring = K + 1j * w * C
+    base, (mass,) = (part.T for part in noise_through((spring / (spring - MASS * w**2))[None], rng))
+    columns = {"Table acc [m/s^2]": base, "Top acc [m/s^2]": mass, "t [s]": np.arange(base.size) / RATE}
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.8g")
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "run.csv")
+    assert "to be decided" not in ended.out
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    values = {one["name"]: one["value"] for one in first_fit(tmp_path / "out")["parameters"]}
+    assert values["f_n"] == pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)
 
 
 def test_dwells_at_one_frequency_after_another_are_a_stepped_sine(tmp_path: Path, labpipe) -> None:
