@@ -50,6 +50,8 @@ _BY_NAME = (
 )
 
 
+# Units of numbers that are shares of full scale, as of sound files.
+SHARES = ("1",)
 _SENSITIVITY = {"force": "10 mV/N", "acceleration": "10 mV/(m/s^2)", "velocity": "20 mV/(mm/s)"}
 
 
@@ -74,11 +76,14 @@ class GuessedChannel:
         """Decisions that the user must take, as text."""
         known = QUANTITIES.get(self.quantity)
         sensitivity = _SENSITIVITY.get(self.quantity, "8 V/mm")
+        recorded = "volts"
+        if self.unit in SHARES:
+            recorded, sensitivity = "share of full scale", f"0.01 1/({known.si_unit if known else 'mm'})"
         questions = {
             "quantity": f"what is measured: {', '.join(_RECORDED[:4])}, ...; delete a channel that is not "
             "needed",
             "unit": "the unit of the recorded numbers" + (f", for example {known.si_unit}" if known else ""),
-            "sensitivity": f"recorded volts per quantity, for example {sensitivity}",
+            "sensitivity": f"recorded {recorded} per quantity, for example {sensitivity}",
         }
         decisions = tuple(text for name, text in questions.items() if getattr(self, name) == DECIDE)
         return (*decisions, self.guess) if decisions and self.guess else decisions
@@ -228,10 +233,26 @@ def without_static_forces(channels: Sequence[GuessedChannel], rows: FloatArray) 
 
 def as_force(channels: Sequence[GuessedChannel], number: int, guess: str) -> tuple[GuessedChannel, ...]:
     """The channels with the one of that *number* as a force, and why it is a *guess*."""
-    sensitivity = DECIDE if _measured_in(channels[number].unit) == "voltage" else ""
+    sensitivity = DECIDE if _needs_sensitivity(channels[number].unit) else ""
     force = replace(channels[number], quantity="force", role="input", sensitivity=sensitivity, guess=guess)
     outputs = [c for n, c in enumerate(channels) if c.role == "output" and n != number]
     return tuple(_along(force, outputs) if n == number else c for n, c in enumerate(channels))
+
+
+def with_a_response(channels: tuple[GuessedChannel, ...]) -> tuple[GuessedChannel, ...]:
+    """The channels, where beside a force none is a response the volts as sensors that are to be told."""
+    roles = {channel.role for channel in channels}
+    if "input" not in roles or "output" in roles:
+        return channels
+    told = [
+        replace(c, quantity=DECIDE, role="", sensitivity=DECIDE) if c.quantity == "voltage" else c
+        for c in channels
+    ]
+    return tuple(_along(channel, [c for c in told if c.quantity == DECIDE]) for channel in told)
+
+
+def _needs_sensitivity(unit: str) -> bool:
+    return unit in SHARES or _measured_in(unit) == "voltage"
 
 
 def _guess(name: str, key: str, unit: str) -> GuessedChannel:
@@ -250,6 +271,7 @@ def _guess(name: str, key: str, unit: str) -> GuessedChannel:
     elif by_name == "tacho":
         quantity, unit = "tacho", unit or "V"
     quantity = quantity or DECIDE
+    sensitivity = DECIDE if unit in SHARES else sensitivity
     role = DEFAULT_ROLES.get(quantity, "" if quantity == DECIDE else "reference")
     point = _POINT.match(name)
     invert = point is not None and point[2] == "-"

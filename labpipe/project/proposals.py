@@ -97,7 +97,7 @@ def first_look(table: RawTable) -> FirstLook:
     signals = rows[:, chosen]
     driven = first_guess.without_static_forces(channels, signals)
     guessed = _with_sweep(first_guess.with_hammer(driven, signals), signals, rate)
-    return FirstLook(guessed, rate, time, signals, unused)
+    return FirstLook(first_guess.with_a_response(guessed), rate, time, signals, unused)
 
 
 def _with_sweep(

@@ -232,9 +232,10 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tac
         return "\n".join(lines) + "\n"
     unknown = f"{DECIDE}    {MARK} the channel of {{}}, once rig.yaml knows one"
     force = first.channels[inputs[0]].key if inputs else unknown.format("the force")
-    if not outputs:
-        lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     keys = [first.channels[number].key for number in outputs]
+    keys = keys or [channel.key for channel in first.channels if channel.quantity == DECIDE]
+    if not keys:
+        lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
     of_base = bool(inputs) and first.channels[inputs[0]].quantity in MOTIONS
     if of_base:
         peaks = {key: replace(peaks.get(key, UNSEEN), model="base") for key in keys}

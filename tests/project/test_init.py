@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import pyuff
 from nptdms import ChannelObject, TdmsWriter
-from scipy.io import savemat
+from scipy.io import savemat, wavfile
 
 from labpipe.cli.start import examples
 from labpipe.project.first_guess import STANDS_OUT, guess_channels, peaks_of, time_columns
@@ -299,6 +299,28 @@ def test_a_channel_with_the_shape_of_hits_is_a_hammer(tmp_path: Path, labpipe) -
     (first,) = [line for line in lines if line.startswith("  ch1:")]
     assert "quantity: force" in first and "a force by its hits, which is a guess" in first
     assert "excitation: impact" in (tmp_path / "rig/pipeline.yaml").read_text()
+
+
+def test_the_tracks_of_a_sound_file_ask_for_their_sensors(tmp_path: Path, labpipe) -> None:
+    """A hammer and the acceleration of a mass in closed form as shares of full scale: what each share is, and
+    what the second track measures, is all that is asked for.
+    """
+    w = 2 * np.pi * np.fft.rfftfreq(32_000, 1 / RATE)
+    force = np.convolve(np.arange(32_000) % 4000 == 200, [50.0, 100.0, 50.0])[:32_000]
+    acceleration = np.fft.irfft(-(w**2) / (K - MASS * w**2 + 1j * w * C) * np.fft.rfft(force))
+    shares = 0.5 / np.max(np.abs(np.stack([force, acceleration])), axis=1)
+    noise = 2e-5 * np.random.default_rng(2).normal(size=(force.size, 2))
+    tracks = np.column_stack([force, acceleration]) * shares + noise
+    wavfile.write(tmp_path / "run.wav", int(RATE), np.int16(tracks * 32767))
+    assert labpipe("init", tmp_path / "rig", tmp_path / "run.wav").code == 0
+    rig, pipeline = tmp_path / "rig/rig.yaml", tmp_path / "rig/pipeline.yaml"
+    text = rig.read_text().replace(f"quantity: {DECIDE}", "quantity: acceleration")
+    for share, unit in zip(shares, ("N", "(m/s^2)"), strict=True):
+        text = text.replace(f"sensitivity: {DECIDE}", f"sensitivity: {share} 1/{unit}", 1)
+    rig.write_text(text)
+    assert MARK not in pipeline.read_text()
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    assert first_fit(tmp_path / "out")["parameters"][0]["value"] == pytest.approx(K, rel=2e-3)
 
 
 def test_inspect_takes_a_first_column_of_even_steps_for_the_time(tmp_path: Path, labpipe) -> None:
