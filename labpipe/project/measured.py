@@ -97,13 +97,14 @@ def _check_copies(recordings: Sequence[MeasuredSource], header: Header) -> None:
 
 
 def list_sources(recordings: Sequence[MeasuredSource]) -> str:
-    """The raw files behind recordings, for messages."""
-    return ", ".join(
+    """The raw files behind recordings, each once, for messages."""
+    names = (
         recording.header.inputs[0].path
         if isinstance(recording, StoredRecording) and recording.header.inputs
         else recording.path.name
         for recording in recordings
     )
+    return ", ".join(dict.fromkeys(names))
 
 
 def ready_refs(frf: ReadyFrf) -> list[SourceRef]:

@@ -483,10 +483,13 @@ def at_common_lines(responses: Sequence[FrequencyResponse]) -> list[FrequencyRes
     realisations alone. DataError where most lines of any are not common.
     """
     common: FloatArray = reduce(np.intersect1d, [response.frequency for response in responses])
-    first, parts = responses[0], []
-    for other in responses:
+    parts = []
+    for number, other in enumerate(responses, start=1):
         if common.size < MOST_COMMON * other.n_frequency:
-            raise DataError(f"'{other.name}' has other lines than '{first.name}'")
+            what = (
+                f"of {other.n_frequency} lines of realisation {number} only {common.size} are in all others"
+            )
+            raise DataError(what, hint="realisations differ in their phases alone")
         lines = np.isin(other.frequency, common)
         values = {name: getattr(other, name) for name in BY_LINE}
         chosen = {name: value[lines] for name, value in values.items() if value is not None}

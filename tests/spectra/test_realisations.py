@@ -134,3 +134,21 @@ def test_a_resonance_that_follows_the_phases_scatters_by_what_its_interval_says(
         low, high = fit.parameter("k").ci95 or (0.0, 0.0)
         held += low <= 8e4 <= high
     assert held >= 33
+
+
+def test_lines_that_some_realisations_lack_are_left_out(rng: np.random.Generator) -> None:
+    """A weak line stands out of the force's noise by chance; what most lines differ in is another signal."""
+    lines = np.arange(20.0, 45.0, 0.5)
+    ports = (Port("x", "x", "x"),), (Port("f", "f", "x"),)
+
+    def one(chosen: np.ndarray) -> FrequencyResponse:
+        noise = rng.normal(size=(2, chosen.size)).T @ [1, 1j]
+        return FrequencyResponse(
+            chosen, noise[:, None, None], *ports, covariance=np.full((chosen.size, 1, 1), 2.0)
+        )
+
+    mean = robust_mean([one(lines), one(np.delete(lines, 3)), one(np.delete(lines, 7))], 2)
+    np.testing.assert_array_equal(mean.frequency, np.delete(lines, [3, 7]))
+    assert mean.matrix.shape[0] == mean.covariance.shape[0] == lines.size - 2
+    with pytest.raises(DataError, match="of 50 lines of realisation 1 only 20 are in all others"):
+        robust_mean([one(lines), one(lines[:20])], 2)
