@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.distributions import f_tail, normal_quantile, normal_tail, student_quantile
+from labpipe.distributions import coverage_factor, f_tail, normal_tail, student_quantile
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
 from labpipe.records import comparison
@@ -27,12 +27,12 @@ from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, le
 from labpipe.uncertainty.weighted import weighted_mean
 
 
-def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
+def repeat(parameters: Sequence[Parameter], given_dof: float = np.inf) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
     Errors by noise are enlarged where the repeats scatter more; the mean of what stands in the full errors
-    beyond noise is common to them and does not shrink. Where a repeat has no error, the plain mean with the
-    standard error of their scatter. Equation (comp-repeats).
+    beyond noise is common to them and does not shrink, with *given_dof* degrees of freedom behind it. Where a
+    repeat has no error, the plain mean with the standard error of their scatter. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     if values.size == 1:
@@ -51,9 +51,17 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     noise = mean.std_error(0)
     whole = float(np.hypot(noise, common))
     # Student's quantile belongs to the part that was estimated from the scatter.
-    reach = float(np.hypot(mean.quantile(0) * noise, normal_quantile(0.975) * common))
+    reach = float(np.hypot(mean.quantile(0) * noise, coverage_factor(0.95, given_dof) * common))
     parameter = _parameter(parameters[0], float(mean.values[0]), noise, whole, reach)
     return comparison.Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
+
+
+def _given_dof(fit: Fit, name: str) -> float:
+    """Degrees of freedom [1] behind what given numbers add to the uncertainty of a parameter."""
+    if fit.budget is None or name not in fit.budget.names:
+        return np.inf
+    given = replace(fit.budget, random=np.zeros(len(fit.budget.names)))
+    return float(given.dof[given.names.index(name)])
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
@@ -385,7 +393,7 @@ def _point(
     names: Sequence[str],
     amounts: Mapping[str, _Amounts],
 ) -> comparison.MatrixPoint:
-    of_name = {name: [p for fit in fits for p in fit.parameters if p.name == name] for name in names}
+    of_name = {name: [(fit, p) for fit in fits for p in fit.parameters if p.name == name] for name in names}
     beside = []
     for name in (*settings.beside, *_of_path(settings)):
         unit, measured = amounts[name]
@@ -393,7 +401,11 @@ def _point(
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
         beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
-    values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
+    values = tuple(
+        repeat([p for _, p in pairs], min(_given_dof(fit, name) for fit, _ in pairs))
+        for name, pairs in of_name.items()
+        if pairs
+    )
     return comparison.MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
 
 
