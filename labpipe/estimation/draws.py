@@ -137,7 +137,7 @@ def propagate(
     columns = np.array(values)
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
-    by_noise = complete.with_random({p.name: p.std_error for p in parameters if p.std_error})
+    by_noise = budget.with_random({p.name: p.std_error for p in parameters if p.std_error})
     findings = _findings(replace(by_noise, drawn=complete.drawn), len(values))
     note = (
         f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
@@ -196,14 +196,14 @@ def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
     """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
-    drawn, stated = budget.drawn[:, 0], budget.combined
-    ratio = np.divide(drawn, stated, out=np.ones_like(stated), where=stated > 0)
-    far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
+    stated, excess = budget.scatter_of_draws()
+    ratio = np.divide(budget.drawn[:, 0], stated, out=np.ones_like(stated), where=stated > 0)
+    far = np.abs(ratio - 1) > ENOUGH + 3 * np.sqrt((2 + excess) / (4 * draws))
     if not np.any(far):
         return ()
     named = ", ".join(f"{budget.names[n]} ({ratio[n]:.2f})" for n in np.flatnonzero(far))
     message = (
-        "first order is not enough: the scatter of the draws over the combined standard uncertainty is not "
-        f"1 for {named}; the intervals are those of the draws"
+        "first order is not enough: the scatter of the draws over what the combined standard uncertainty "
+        f"makes of it is not 1 for {named}; the intervals are those of the draws"
     )
     return (Finding("first-order", message),)
