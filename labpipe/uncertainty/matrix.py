@@ -30,16 +30,16 @@ from labpipe.uncertainty.weighted import weighted_mean
 def repeat(parameters: Sequence[Parameter], given_dof: float = np.inf) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
-    Errors by noise are enlarged where the repeats scatter more; the mean of what stands in the full errors
-    beyond noise is common to them and does not shrink, with *given_dof* degrees of freedom behind it. Where a
-    repeat has no error, the plain mean with the standard error of their scatter. Equation (comp-repeats).
+    Errors by noise, and by the scatter of recordings that a test is the mean of, are enlarged where the
+    repeats scatter more; the mean of what stands in the full errors beyond these is common to them and does
+    not shrink, with *given_dof* degrees of freedom behind it. Where a repeat has no error, the plain mean
+    with the standard error of their scatter. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     if values.size == 1:
         return comparison.Repeated(parameters[0], 1)
     scatter = float(np.std(values, ddof=1))
-    # None, where there is no error, becomes NaN.
-    errors = np.array([parameter.std_error for parameter in parameters], np.float64)
+    errors = np.array([_error_alone(parameter) for parameter in parameters])
     if not np.all(errors > 0):
         plain, error = float(np.mean(values)), scatter / float(np.sqrt(values.size))
         reach = float(student_quantile(0.975, values.size - 1) * error)
@@ -54,6 +54,14 @@ def repeat(parameters: Sequence[Parameter], given_dof: float = np.inf) -> compar
     reach = float(np.hypot(mean.quantile(0) * noise, coverage_factor(0.95, given_dof) * common))
     parameter = _parameter(parameters[0], float(mean.values[0]), noise, whole, reach)
     return comparison.Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
+
+
+def _error_alone(parameter: Parameter) -> float:
+    """Standard error by noise and by the scatter of a test's own recordings [unit of the parameter], which no
+    other test shares; NaN where there is none.
+    """
+    recordings = 0.0 if parameter.interval is None else parameter.interval.repeats
+    return float(np.hypot(np.nan if parameter.std_error is None else parameter.std_error, recordings))
 
 
 def _given_dof(fit: Fit, name: str) -> float:
