@@ -16,7 +16,7 @@ from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
 from labpipe.estimation.budget import Case, Change, Refit, sources_of
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.weights import has_noise, whitener
+from labpipe.estimation.weights import has_noise, weight_uncertainty, whitener
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget, Uncertainty
 
@@ -27,23 +27,23 @@ MOST_FAILED = 0.05
 
 def bootstrap(
     parameters: tuple[Parameter, ...],
-    measured: Measured,
+    case: Case,
     fitted: ComplexArray,
     refit: Callable[[Measured], tuple[Parameter, ...]],
-    repeats: int,
-    name: str,
 ) -> tuple[tuple[Parameter, ...], str]:
-    """Parameters with standard errors and 95 % intervals from the scatter of *repeats* refits, and a note.
+    """Parameters with standard errors and 95 % intervals from the scatter of refits, as many as the *case*
+    asks for, and a note.
 
-    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*. FitError for an
-    unknown noise, too few repeats, or failed refits.
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's name. FitError for an unknown
+    noise, too few repeats, or failed refits.
     """
-    _check("bootstrap", repeats, FEWEST_REPEATS, 200, measured)
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    repeats = case.setup.settings.bootstrap
+    _check("bootstrap", repeats, FEWEST_REPEATS, 200, case.measured)
+    rng, cost = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode())), cost_of_weights(case)
     refits: list[dict[str, float]] = []
     for _ in range(repeats):
         with contextlib.suppress(FitError):
-            refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
+            refits.append({p.name: p.value for p in refit(redrawn(case.measured, fitted, rng, cost))})
     _check_failed("bootstrap", len(refits), repeats)
     note = (
         f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
@@ -67,9 +67,20 @@ def _check_failed(key: str, n_fit: int, n: int) -> None:
         raise FitError(f"{key}: {n - n_fit} of {n} refits failed", hint="widen the band")
 
 
-def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation
-    (est-bootstrap).
+def cost_of_weights(case: Case) -> float:
+    """Factor [1] on the variance of refits that all have one set of weights, for what it costs that these
+    were estimated as well: of ml, which alone rests on them.
+    """
+    if not case.setup.settings.estimates.likelihood:
+        return 1.0
+    return weight_uncertainty(case.measured, case.estimate.dof).inflation / case.measured.shared_noise
+
+
+def redrawn(
+    measured: Measured, fitted: ComplexArray, rng: np.random.Generator, cost: float = 1.0
+) -> Measured:
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance times *cost*
+    [1]. Equation (est-bootstrap).
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
@@ -81,7 +92,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
         size = np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
         white = rng.standard_normal((2, *size.shape)) * size
         noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
-    return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
+    return replace(measured, matrix=fitted + np.sqrt(cost) * noise.reshape(fitted.shape))
 
 
 def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
@@ -130,7 +141,8 @@ def propagate(
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}
     sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]
-    drawn = [_draw(case, sources, fitted, refit, rng) for _ in range(draws)]
+    cost = cost_of_weights(case)
+    drawn = [_draw(case, sources, fitted, refit, rng, cost) for _ in range(draws)]
     # Where a stiffness or a mass comes out negative there is no frequency.
     values = [[of_draw[name] for name in budget.names] for of_draw in drawn if {*budget.names} <= {*of_draw}]
     _check_failed("monte_carlo", len(values), draws)
@@ -153,9 +165,10 @@ def _draw(
     fitted: ComplexArray,
     refit: Refit,
     rng: np.random.Generator,
+    cost: float,
 ) -> dict[str, float]:
     """Reported values [parameter units] of one draw by name; none where the fit fails."""
-    changed = replace(case, measured=redrawn(case.measured, fitted, rng))
+    changed = replace(case, measured=redrawn(case.measured, fitted, rng, cost))
     for uncertainty, change in sources:
         changed = change(changed, drawn_error(uncertainty, rng))
     try:

@@ -265,7 +265,7 @@ def _fit_band(
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
         refit = functools.partial(_refit, setup, model)
-        parameters, note = bootstrap(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
+        parameters, note = bootstrap(parameters, case, fitted, refit)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
