@@ -18,7 +18,7 @@ from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
 from labpipe.records import comparison
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, changes_of
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
@@ -409,12 +409,17 @@ def _point(
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
         beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
-    values = tuple(
-        repeat([p for _, p in pairs], min(_given_dof(fit, name) for fit, _ in pairs))
-        for name, pairs in of_name.items()
-        if pairs
-    )
+    values = tuple(_with_changes(name, pairs) for name, pairs in of_name.items() if pairs)
     return comparison.MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
+
+
+def _with_changes(name: str, pairs: Sequence[tuple[Fit, Parameter]]) -> comparison.Repeated:
+    """The mean of a coefficient over its repeats, with what moves it and those of other points alike."""
+    mean = repeat([parameter for _, parameter in pairs], min(_given_dof(fit, name) for fit, _ in pairs))
+    each = [changes_of(fit, parameter) for fit, parameter in pairs]
+    sources = dict.fromkeys(source for changes in each for source in changes)
+    shared = {of: sum(changes.get(of, 0.0) for changes in each) / len(each) for of in sources}
+    return replace(mean, changes=shared)
 
 
 def _beside_theory(

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from labpipe.project.catalogue_search import differences
+from labpipe.project.compare import listed_points
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error
@@ -175,3 +177,15 @@ def test_the_model_error_that_tests_share_is_left_out_beside_stated_numbers() ->
     alone = dataclasses.replace(fit, parameters=(wide,), budget=budget).as_fitted
     assert alone.parameter("k").value == k.value
     assert random_error(alone, alone.parameter("k")) == pytest.approx(1e3)
+
+
+def test_points_of_two_matrices_do_not_differ_by_the_mass_that_they_share() -> None:
+    """2 % by one sensor moves both points alike, but for 2 % of the 1 % by which they differ."""
+    over = MatrixSettings(fit="axial", over=("load",), name="m")
+    first, other = (
+        list(listed_points([condition_matrix(over, *gained([k, 2e6, k, 2e6]))])) for k in (1e6, 1.01e6)
+    )
+    pair = differences(first, other)[0]
+    # Both means have an error of 1e3 / sqrt(2) by themselves, and 2 % of their difference in common.
+    assert pair.std_error == pytest.approx(np.hypot(1e3, 0.02 * 1e4), rel=1e-6)
+    assert pair.p_value is not None and pair.p_value < 1e-15
