@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,10 +26,7 @@ MOST_FAILED = 0.05
 
 
 def bootstrap(
-    parameters: tuple[Parameter, ...],
-    case: Case,
-    fitted: ComplexArray,
-    refit: Callable[[Measured], tuple[Parameter, ...]],
+    parameters: tuple[Parameter, ...], case: Case, fitted: ComplexArray, refit: Refit
 ) -> tuple[tuple[Parameter, ...], str]:
     """Parameters with standard errors and 95 % intervals from the scatter of refits, as many as the *case*
     asks for, and a note.
@@ -39,11 +36,7 @@ def bootstrap(
     """
     repeats = case.setup.settings.bootstrap
     _check("bootstrap", repeats, FEWEST_REPEATS, 200, case.measured)
-    rng, cost = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode())), cost_of_weights(case)
-    refits: list[dict[str, float]] = []
-    for _ in range(repeats):
-        with contextlib.suppress(FitError):
-            refits.append({p.name: p.value for p in refit(redrawn(case.measured, fitted, rng, cost))})
+    refits = [drawn for drawn in _draws(case, (), fitted, refit, repeats) if drawn]
     _check_failed("bootstrap", len(refits), repeats)
     note = (
         f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
@@ -137,12 +130,10 @@ def propagate(
     Equation (unc-first-order).
     """
     _check("monte_carlo", draws, FEWEST_DRAWS, 2000, case.measured)
-    rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}
     sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]
-    cost = cost_of_weights(case)
-    drawn = [_draw(case, sources, fitted, refit, rng, cost) for _ in range(draws)]
+    drawn = _draws(case, sources, fitted, refit, draws)
     # Where a stiffness or a mass comes out negative there is no frequency.
     values = [[of_draw[name] for name in budget.names] for of_draw in drawn if {*budget.names} <= {*of_draw}]
     _check_failed("monte_carlo", len(values), draws)
@@ -159,23 +150,20 @@ def propagate(
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(
-    case: Case,
-    sources: Sequence[tuple[Uncertainty, Change]],
-    fitted: ComplexArray,
-    refit: Refit,
-    rng: np.random.Generator,
-    cost: float,
-) -> dict[str, float]:
-    """Reported values [parameter units] of one draw by name; none where the fit fails."""
-    changed = replace(case, measured=redrawn(case.measured, fitted, rng, cost))
-    for uncertainty, change in sources:
-        changed = change(changed, drawn_error(uncertainty, rng))
-    try:
-        parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
-    except FitError:
-        return {}
-    return {parameter.name: parameter.value for parameter in parameters}
+def _draws(
+    case: Case, sources: Sequence[tuple[Uncertainty, Change]], fitted: ComplexArray, refit: Refit, n: int
+) -> Iterator[dict[str, float]]:
+    """Reported values [parameter units] of *n* draws by name; none where the fit fails."""
+    rng, cost = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode())), cost_of_weights(case)
+    for _ in range(n):
+        changed = replace(case, measured=redrawn(case.measured, fitted, rng, cost))
+        for uncertainty, change in sources:
+            changed = change(changed, drawn_error(uncertainty, rng))
+        values: dict[str, float] = {}
+        with contextlib.suppress(FitError):
+            parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
+            values = {parameter.name: parameter.value for parameter in parameters}
+        yield values
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
