@@ -246,7 +246,7 @@ class Budget:
         by first order, and its excess kurtosis (n_parameter,) [1].
 
         Student's distribution of nu degrees of freedom has the variance nu / (nu - 2) and the excess 6 / (nu
-        - 4): NaN where a source that counts has no more than four. Equation (unc-draw).
+        - 4): NaN where a source that counts has no more than four. Equation (unc-first-order).
         """
         square, fourth = self.random**2, np.zeros_like(self.random)
         for source, change in zip(self.sources, self.changes**2, strict=True):
