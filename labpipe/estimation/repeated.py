@@ -241,8 +241,9 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
             stated.append(parameter)
     if (budget := pooled.budget) is not None:
         budget = budget.with_random({p.name: p.full_error or 0.0 for p in stated if p.name in means})
-        whole = zip(stated, with_systematic(stated, budget), strict=True)
-        stated = [wide if wide.name in means else plain for plain, wide in whole]
+        plain = {p.name: p for p in stated}
+        wide = {p.name: p for p in with_systematic([plain[name] for name in budget.names], budget)}
+        stated = [wide.get(p.name, p) if p.name in means else p for p in stated]
     return replace(
         pooled,
         parameters=tuple(stated),
