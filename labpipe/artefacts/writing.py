@@ -7,11 +7,11 @@ import errno
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, TypeVar
 from urllib.parse import unquote, urlsplit
 
 from labpipe.errors import ConfigError, DataError
@@ -195,6 +195,19 @@ def sync_to_disk(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+Writer = TypeVar("Writer", bound=Callable[..., None])
+
+
+def with_endings(*endings: str) -> Callable[[Writer], Writer]:
+    """Of a function that writes a file: the *endings* of names that such a file may have."""
+
+    def state(writer: Writer) -> Writer:
+        setattr(writer, "endings", endings)  # noqa: B010
+        return writer
+
+    return state
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from labpipe.artefacts.mirrored import read_results, summary
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
-from labpipe.errors import DataError
+from labpipe.errors import ConfigError, DataError
 from labpipe.processes import shared_out
 from labpipe.project.measured import files_of_test
 from labpipe.project.report import write_campaign, write_report, write_test_report
@@ -128,5 +128,9 @@ def export(artefact: Path, target_format: str, output: Path) -> None:
     the mode shapes.
     """
     table = WRITERS.load(target_format)
+    endings = getattr(table, "endings", ())
+    if output.suffix and endings and output.suffix.lower() not in endings and not output.is_char_device():
+        what = f"'{output.suffix}' is no ending of a file in the format {target_format}"
+        raise ConfigError(what, output, f"known: {', '.join(endings)}")
     with output_file(output) as target:
         table(artefact, target)

@@ -21,6 +21,7 @@ from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
 from labpipe.records.identification import ListedParameter, listed_parameters
 from labpipe.registry import few, list_names, nearest
+from labpipe.uncertainty.weighted import trend_verdict
 
 
 @click.command(name="list")
@@ -182,9 +183,7 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile(1) * error, line.p_of(1)
     per = unit_label(series.condition_unit.split(" ")[0]) or f"unit of {series.over}"
-    verdict = "curved" if line.curved else "no trend"
-    if p_value < LEVEL:
-        verdict = "rising" if slope > 0 else "falling"
+    verdict = trend_verdict(slope, line.curved, sure=p_value < LEVEL)
     scatter = f"; {line.curved}" if line.curved else ""
     scatter += "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
     stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
 from labpipe.estimation.budget import Case, Change, Refit, sources_of
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.weights import has_noise, whitener
+from labpipe.estimation.weights import has_noise, weight_uncertainty, whitener
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget, Uncertainty
 
@@ -26,24 +26,17 @@ MOST_FAILED = 0.05
 
 
 def bootstrap(
-    parameters: tuple[Parameter, ...],
-    measured: Measured,
-    fitted: ComplexArray,
-    refit: Callable[[Measured], tuple[Parameter, ...]],
-    repeats: int,
-    name: str,
+    parameters: tuple[Parameter, ...], case: Case, fitted: ComplexArray, refit: Refit
 ) -> tuple[tuple[Parameter, ...], str]:
-    """Parameters with standard errors and 95 % intervals from the scatter of *repeats* refits, and a note.
+    """Parameters with standard errors and 95 % intervals from the scatter of refits, as many as the *case*
+    asks for, and a note.
 
-    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's *name*. FitError for an
-    unknown noise, too few repeats, or failed refits.
+    *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's name. FitError for an unknown
+    noise, too few repeats, or failed refits.
     """
-    _check("bootstrap", repeats, FEWEST_REPEATS, 200, measured)
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
-    refits: list[dict[str, float]] = []
-    for _ in range(repeats):
-        with contextlib.suppress(FitError):
-            refits.append({p.name: p.value for p in refit(redrawn(measured, fitted, rng))})
+    repeats = case.setup.settings.bootstrap
+    _check("bootstrap", repeats, FEWEST_REPEATS, 200, case.measured)
+    refits = [drawn for drawn in _draws(case, (), fitted, refit, repeats) if drawn]
     _check_failed("bootstrap", len(refits), repeats)
     note = (
         f"Standard errors and intervals by noise alone come from {len(refits)} refits on noise drawn from "
@@ -67,9 +60,20 @@ def _check_failed(key: str, n_fit: int, n: int) -> None:
         raise FitError(f"{key}: {n - n_fit} of {n} refits failed", hint="widen the band")
 
 
-def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) -> Measured:
-    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance. Equation
-    (est-bootstrap).
+def cost_of_weights(case: Case) -> float:
+    """Factor [1] on the variance of refits that all have one set of weights, for what it costs that these
+    were estimated as well: of ml, which alone rests on them.
+    """
+    if not case.setup.settings.estimates.likelihood:
+        return 1.0
+    return weight_uncertainty(case.measured, case.estimate.dof).inflation / case.measured.shared_noise
+
+
+def redrawn(
+    measured: Measured, fitted: ComplexArray, rng: np.random.Generator, cost: float = 1.0
+) -> Measured:
+    """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance times *cost*
+    [1]. Equation (est-bootstrap).
     """
     assert measured.covariance is not None
     n = measured.covariance.shape[1]
@@ -81,7 +85,7 @@ def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator) 
         size = np.sqrt(measured.shared_noise * np.maximum(values, 0.0) / 2)
         white = rng.standard_normal((2, *size.shape)) * size
         noise = np.einsum("lab,lb->la", vectors, white[0] + 1j * white[1])
-    return replace(measured, matrix=fitted + noise.reshape(fitted.shape))
+    return replace(measured, matrix=fitted + np.sqrt(cost) * noise.reshape(fitted.shape))
 
 
 def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
@@ -126,18 +130,17 @@ def propagate(
     Equation (unc-first-order).
     """
     _check("monte_carlo", draws, FEWEST_DRAWS, 2000, case.measured)
-    rng = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode()))
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}
     sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]
-    drawn = [_draw(case, sources, fitted, refit, rng) for _ in range(draws)]
+    drawn = _draws(case, sources, fitted, refit, draws)
     # Where a stiffness or a mass comes out negative there is no frequency.
     values = [[of_draw[name] for name in budget.names] for of_draw in drawn if {*budget.names} <= {*of_draw}]
     _check_failed("monte_carlo", len(values), draws)
     columns = np.array(values)
     scatter, (low, high) = np.std(columns, axis=0, ddof=1), np.percentile(columns, [2.5, 97.5], axis=0)
     complete = replace(budget, drawn=np.column_stack([scatter, low, high]))
-    by_noise = complete.with_random({p.name: p.std_error for p in parameters if p.std_error})
+    by_noise = budget.with_random({p.name: p.std_error for p in parameters if p.std_error})
     findings = _findings(replace(by_noise, drawn=complete.drawn), len(values))
     note = (
         f"Intervals are those of {len(values)} draws of the noise and of all numbers with an uncertainty "
@@ -147,22 +150,20 @@ def propagate(
     return Budgeted(tuple(drawn_parameters), complete, findings, (note,))
 
 
-def _draw(
-    case: Case,
-    sources: Sequence[tuple[Uncertainty, Change]],
-    fitted: ComplexArray,
-    refit: Refit,
-    rng: np.random.Generator,
-) -> dict[str, float]:
-    """Reported values [parameter units] of one draw by name; none where the fit fails."""
-    changed = replace(case, measured=redrawn(case.measured, fitted, rng))
-    for uncertainty, change in sources:
-        changed = change(changed, drawn_error(uncertainty, rng))
-    try:
-        parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
-    except FitError:
-        return {}
-    return {parameter.name: parameter.value for parameter in parameters}
+def _draws(
+    case: Case, sources: Sequence[tuple[Uncertainty, Change]], fitted: ComplexArray, refit: Refit, n: int
+) -> Iterator[dict[str, float]]:
+    """Reported values [parameter units] of *n* draws by name; none where the fit fails."""
+    rng, cost = np.random.default_rng(zlib.crc32(case.setup.settings.name.encode())), cost_of_weights(case)
+    for _ in range(n):
+        changed = replace(case, measured=redrawn(case.measured, fitted, rng, cost))
+        for uncertainty, change in sources:
+            changed = change(changed, drawn_error(uncertainty, rng))
+        values: dict[str, float] = {}
+        with contextlib.suppress(FitError):
+            parameters = refit(changed.setup, case.model_of(changed.setup), changed.measured)
+            values = {parameter.name: parameter.value for parameter in parameters}
+        yield values
 
 
 def drawn_error(uncertainty: Uncertainty, rng: np.random.Generator) -> float:
@@ -196,14 +197,14 @@ def _findings(budget: Budget, draws: int) -> tuple[Finding, ...]:
     """The parameters whose scatter is not what first order says, beyond three standard deviations of it."""
     assert budget.drawn is not None
     # What never scatters (the largest entry of a mode's shape, which is 1) is known.
-    drawn, stated = budget.drawn[:, 0], budget.combined
-    ratio = np.divide(drawn, stated, out=np.ones_like(stated), where=stated > 0)
-    far = np.abs(ratio - 1) > ENOUGH + 3 / np.sqrt(2 * draws)
+    stated, excess = budget.scatter_of_draws()
+    ratio = np.divide(budget.drawn[:, 0], stated, out=np.ones_like(stated), where=stated > 0)
+    far = np.abs(ratio - 1) > ENOUGH + 3 * np.sqrt((2 + excess) / (4 * draws))
     if not np.any(far):
         return ()
     named = ", ".join(f"{budget.names[n]} ({ratio[n]:.2f})" for n in np.flatnonzero(far))
     message = (
-        "first order is not enough: the scatter of the draws over the combined standard uncertainty is not "
-        f"1 for {named}; the intervals are those of the draws"
+        "first order is not enough: the scatter of the draws over what the combined standard uncertainty "
+        f"makes of it is not 1 for {named}; the intervals are those of the draws"
     )
     return (Finding("first-order", message),)

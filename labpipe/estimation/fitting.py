@@ -264,8 +264,7 @@ def _fit_band(
     parameters = derived.reported_parameters(estimate, model, setup)
     notes = (*estimate.notes, *dropped)
     if settings.bootstrap:
-        refit = functools.partial(_refit, setup, model)
-        parameters, note = bootstrap(parameters, measured, fitted, refit, settings.bootstrap, settings.name)
+        parameters, note = bootstrap(parameters, case, fitted, _refit)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)

@@ -13,6 +13,7 @@ import scipy
 
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError
+from labpipe.estimation.derived import with_systematic
 from labpipe.estimation.repeats import (
     LEAST_RANGE,
     PRIOR_SCALE,
@@ -238,13 +239,15 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
             stated.append(stated_mean(parameter, means[name], of, shared, pooled.dof, summary, aside))
         else:
             stated.append(parameter)
-    # Beside the parts of given numbers, those of noise and repeats.
-    errors = ((p.name, p.full_error or 0.0, p.systematic or 0.0) for p in stated if p.name in means)
-    random = {name: float(np.sqrt(max(full**2 - part**2, 0.0))) for name, full, part in errors}
+    if (budget := pooled.budget) is not None:
+        budget = budget.with_random({p.name: p.full_error or 0.0 for p in stated if p.name in means})
+        plain = {p.name: p for p in stated}
+        wide = {p.name: p for p in with_systematic([plain[name] for name in budget.names], budget)}
+        stated = [wide.get(p.name, p) if p.name in means else p for p in stated]
     return replace(
         pooled,
         parameters=tuple(stated),
-        budget=None if pooled.budget is None else pooled.budget.with_random(random),
+        budget=budget,
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
@@ -364,7 +367,7 @@ def stated_mean(
     aside: Sequence[Parameter] = (),
 ) -> Parameter:
     """The mean with the hull of its interval, that with the shared model error, and the first or last repeat
-    *aside*, which may be another state.
+    *aside*, which may be another state; without what given numbers add.
     """
     shift, extra = _common_part(common, log=of.log)
     between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
@@ -378,11 +381,9 @@ def stated_mean(
         return sign * float(np.exp(value)) if of.log else float(value)
 
     value, ends = back(mean.value), sorted((back(low), back(high)))
-    unit, limit, systematic = abs(value) if of.log else 1.0, student_limit(dof), parameter.systematic or 0.0
+    unit, limit = abs(value) if of.log else 1.0, student_limit(dof)
     error = float(np.sqrt(mean.weights**2 @ of.variances)) * unit
-    full = float(np.hypot(max((high - low) / 2 / limit * unit, error), systematic))
-    sides = [float(np.hypot(side, limit * systematic)) for side in (value - ends[0], ends[1] - value)]
-    interval = (value - sides[0], value + sides[1])
+    full, interval = max((high - low) / 2 / limit * unit, error), (ends[0], ends[1])
     for other in aside:
         reach = limit * float(np.hypot(other.std_error or 0.0, mean.spread * unit))
         interval = (min(interval[0], other.value - reach), max(interval[1], other.value + reach))
@@ -391,7 +392,8 @@ def stated_mean(
     full = max(full, float(np.hypot(scatter, error)))
     return replace(
         restate(parameter, value, full, interval, std_error=error),
-        interval=IntervalParts(error, repeats=scatter, systematic=systematic),
+        interval=IntervalParts(error, repeats=scatter),
+        systematic=None,
         fitted=None,
         reason=common.reason if common is not None and extra > between else "",
         discrepancy=None if common is None else common.discrepancy,

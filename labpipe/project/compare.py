@@ -238,6 +238,8 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
                     test=place,
                     model="matrix",
                     warnings=point.warnings,
+                    random=value.error_alone,
+                    changes=value.changes,
                 )
 
 

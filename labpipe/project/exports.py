@@ -23,7 +23,7 @@ from labpipe.artefacts import measured_files
 from labpipe.artefacts.identification_file import read_identification
 from labpipe.artefacts.parquet import arrow_array, open_parquet
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX, open_recording
-from labpipe.artefacts.writing import cell, output_file, write_table_csv
+from labpipe.artefacts.writing import cell, output_file, with_endings, write_table_csv
 from labpipe.errors import ConfigError, DataError
 from labpipe.project.deciding import stated_error
 from labpipe.project.one_test import stated_day
@@ -37,7 +37,11 @@ from labpipe.records.fit_details import Modes, RobustPlant
 from labpipe.records.identification import Fit, Identification, RuleOutcome, listed_parameters
 from labpipe.uncertainty.amounts import random_error
 
+# Endings of names of tables as text, and of universal files.
+TEXT, UNIVERSAL = (".csv", ".txt", ".dat", ".asc"), (".uff", ".unv", ".uf")
 
+
+@with_endings(*TEXT)
 def write_csv(artefact: Path, target: Path) -> None:
     """An FRF as labpipe reads it again; samples and spectra by "name [unit]"; results as parameters."""
     table = _table(artefact)
@@ -47,6 +51,7 @@ def write_csv(artefact: Path, target: Path) -> None:
         write_table_csv(table, target)
 
 
+@with_endings(".parquet")
 def write_parquet(artefact: Path, target: Path) -> None:
     """The same tables as Parquet, without labpipe's header."""
     table = _table(artefact)
@@ -66,6 +71,7 @@ def _table(artefact: Path) -> pd.DataFrame | None:
     return next((table(artefact) for suffix, table in tables.items() if artefact.name.endswith(suffix)), None)
 
 
+@with_endings(*UNIVERSAL)
 def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
     """A recording or FRF as a universal file; of a result its mode shapes (records 15, 82 and 55)."""
     if artefact.suffix == ".json":
@@ -75,11 +81,13 @@ def write_uff(artefact: Path, target: Path, binary: bool = False) -> None:
         _write_measured(artefact, target, "a universal file", *writers)
 
 
+@with_endings(*UNIVERSAL)
 def write_uff58b(artefact: Path, target: Path) -> None:
     """`write_uff` with binary numbers."""
     write_uff(artefact, target, binary=True)
 
 
+@with_endings(".mat")
 def write_mat(artefact: Path, target: Path) -> None:
     """A recording or an FRF as a MATLAB file."""
     if artefact.suffix == ".json":
@@ -87,6 +95,7 @@ def write_mat(artefact: Path, target: Path) -> None:
     _write_measured(artefact, target, "a MATLAB file", write_recording_mat, write_frf_mat)
 
 
+@with_endings(*TEXT)
 def write_shapes(artefact: Path, target: Path) -> None:
     """The mode shapes of a result as a table: one row per mode and point."""
     write_table_csv(shape_table(modal_fits(artefact)), target)
@@ -207,11 +216,13 @@ def parameter_table(artefact: Path) -> pd.DataFrame:
 NOISE = "noise"
 
 
+@with_endings(*TEXT)
 def write_covariance_csv(artefact: Path, target: Path) -> None:
     """`covariance_table` as CSV."""
     write_table_csv(covariance_table(artefact), target)
 
 
+@with_endings(".parquet")
 def write_covariance_parquet(artefact: Path, target: Path) -> None:
     """`covariance_table` as Parquet."""
     covariance_table(artefact).to_parquet(target, index=False)
@@ -270,6 +281,7 @@ def write_study_csv(path: Path, study: Study) -> None:
                 table.writerow((*map(cell, (*head, p.name)), *numbers))
 
 
+@with_endings(*TEXT)
 def write_band_csv(artefact: Path, target: Path) -> None:
     """One row per fit, line, output and input: nominal plant, radius of its band, weight and overbound."""
     tables = []
@@ -285,6 +297,7 @@ def write_band_csv(artefact: Path, target: Path) -> None:
     write_table_csv(pd.concat(tables, ignore_index=True), target)
 
 
+@with_endings(".mat")
 def write_plant_mat(artefact: Path, target: Path) -> None:
     """State space A, B, C, D of the only fit with a plant, its response, radius and weight, and the
     overbound's k, zero and pole [Hz]. DataError for several such fits.
@@ -344,6 +357,7 @@ NO_COUNTRY = "ZZ"
 _CONFORMITY = {"conditional-pass": "conditionalPass", "conditional-fail": "conditionalFail"}
 
 
+@with_endings(".xml")
 def write_dcc(artefact: Path, target: Path) -> None:
     """The parameters of a result with their expanded uncertainties, and the outcomes of its rules; the same
     bytes for the same result. DataError for an artefact that is not a result.

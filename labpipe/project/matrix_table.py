@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.artefacts.writing import write_table_csv
+from labpipe.artefacts.writing import with_endings, write_table_csv
 from labpipe.errors import DataError
-from labpipe.project.exports import result_of
+from labpipe.project.exports import TEXT, result_of
 from labpipe.quantities import to_display
 from labpipe.raw_files.table import load_extra
 from labpipe.records.comparison import ConditionMatrix, MatrixPoint, condition_unit
 from labpipe.records.identification import Fit, Identification
+from labpipe.uncertainty.weighted import weighted_mean
 
-# Coefficients of a rotor code by our names.
 AXES = ("xx", "xy", "yx", "yy")
 # Coefficients of a rotor code by our names.
 ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in "kc" for axes in AXES}
@@ -25,11 +25,13 @@ ROTOR_NAMES = {f"{letter}_{axes}": f"{letter}{axes}" for letter in "kc" for axes
 N_WHIRL = 9
 
 
+@with_endings(*TEXT)
 def write_matrix_csv(artefact: Path, target: Path) -> None:
     """The matrices of a result as CSV: one row for every point and coefficient."""
     write_table_csv(matrix_table(_matrices(artefact)[1]), target)
 
 
+@with_endings(".parquet")
 def write_matrix_parquet(artefact: Path, target: Path) -> None:
     """The matrix as Parquet, as `write_matrix_csv` writes it."""
     matrix_table(_matrices(artefact)[1]).to_parquet(target, index=False)
@@ -67,6 +69,7 @@ def matrix_table(matrices: tuple[ConditionMatrix, ...]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+@with_endings(".xlsx")
 def write_rotor_xlsx(artefact: Path, target: Path) -> None:
     """Tables that rotor codes read, columns kxx ... cyy [N/m, N.s/m] over `speed` or `frequency` [rad/s], as
     sheets of an Excel file: of every level of the other conditions one over the `speed` with the coefficients
@@ -80,6 +83,7 @@ def write_rotor_xlsx(artefact: Path, target: Path) -> None:
             table.to_excel(writer, sheet_name=name, index=False)
 
 
+@with_endings(*TEXT)
 def write_rotor_csv(artefact: Path, target: Path) -> None:
     """The same tables below each other as CSV, the name of the sheet in the first column."""
     sheets = rotor_sheets(*_matrices(artefact))
@@ -127,12 +131,29 @@ Course = tuple[FloatArray, ComplexArray]
 
 def _course(identification: Identification, matrix: ConditionMatrix, point: MatrixPoint) -> Course:
     fits = [fit for fit in identification.fits if fit.name == matrix.fit and fit.test in point.tests]
-    drawn = [detail.course for fit in fits for detail in fit.details if detail.course is not None]
+    drawn = [(fit, detail.course) for fit in fits for detail in fit.details if detail.course is not None]
     if drawn:
-        low, high = (end(course[0][place] for course in drawn) for end, place in ((max, 0), (min, -1)))
+        shown, courses = [fit for fit, _ in drawn], [course for _, course in drawn]
+        low, high = (end(course[0][place] for course in courses) for end, place in ((max, 0), (min, -1)))
         frequency = np.linspace(low, high, N_WHIRL)
-        return frequency, np.mean([_interpolate(*course, frequency) for course in drawn], axis=0)
+        each = np.array([_interpolate(*course, frequency) for course in courses])
+        k, c = (np.array([_weights(shown, f"{letter}_{axes}") for axes in AXES]).T for letter in "kc")
+        real, imaginary = (of.reshape(-1, 1, 2, 2) * part for of, part in ((k, each.real), (c, each.imag)))
+        return frequency, np.sum(real + 1j * imaginary, axis=0)
     return _coefficient_course(matrix, point, fits)
+
+
+def _weights(fits: Sequence[Fit], name: str) -> FloatArray:
+    """Weights (n_fit,) [1] of the repeats in the mean of a coefficient, as that of the matrix has them, of
+    sum one; alike where one of them does not have it, or no error.
+    """
+    found = [parameter for fit in fits for parameter in fit.parameters if parameter.name == name]
+    errors = np.array([parameter.std_error for parameter in found], np.float64)
+    if len(found) < len(fits) or not np.all(errors > 0):
+        return np.full(len(fits), 1 / len(fits))
+    spread = weighted_mean(np.array([parameter.value for parameter in found]), errors).spread
+    weights = 1 / (errors**2 + spread)
+    return np.asarray(weights / np.sum(weights))
 
 
 def _coefficient_course(matrix: ConditionMatrix, point: MatrixPoint, fits: list[Fit]) -> Course:

@@ -4,8 +4,9 @@ their conditions; and a Monte Carlo study: errors of every fit over many repeats
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import KW_ONLY, dataclass
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, field
 from fnmatch import fnmatchcase
 from typing import Protocol
 
@@ -218,7 +219,7 @@ class Repeated:
 
     scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so
     large a scatter by the standard errors of the fits alone; theory: the value of a theory at the conditions,
-    None without one.
+    None without one; changes: of the mean by one standard uncertainty of every source that its tests share.
     """
 
     parameter: Parameter
@@ -227,6 +228,14 @@ class Repeated:
     scatter: float | None = None
     p_value: float | None = None
     theory: float | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def error_alone(self) -> float | None:
+        """Standard error [unit of the parameter] without these changes; None where there is none."""
+        if (full := self.parameter.full_error) is None:
+            return None
+        return math.sqrt(max(full**2 - math.fsum(change**2 for change in self.changes.values()), 0.0))
 
     @property
     def holds_theory(self) -> bool | None:

@@ -16,6 +16,10 @@ from labpipe.registry import nearest
 
 # Half width over standard uncertainty of distributions with sharp ends (GUM 4.3.7, 4.3.9).
 SHAPES = {"normal": 1.0, "rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0)}
+# Their excess kurtosis, the degrees of freedom up to which Student's distribution has none, and the share of
+# the variance up to which a source of so few counts as any other.
+EXCESS = {"rectangular": -1.2, "triangular": -0.6}
+UNSETTLED, MINOR = 4, 0.01
 # A relative uncertainty above it is a slip: of logarithms, 1000 % are nine decades either way.
 MOST_RELATIVE = 10
 
@@ -236,6 +240,25 @@ class Budget:
         total = np.sum(terms, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(total > 0, self.combined**4 / total, np.inf)
+
+    def scatter_of_draws(self) -> tuple[FloatArray, FloatArray]:
+        """Scatter (n_parameter,) [unit of the parameter] of draws from the distributions of noise and sources
+        by first order, and its excess kurtosis (n_parameter,) [1].
+
+        Student's distribution of nu degrees of freedom has the variance nu / (nu - 2) and the excess 6 / (nu
+        - 4): NaN where a source that counts has no more than four. Equation (unc-first-order).
+        """
+        square, fourth = self.random**2, np.zeros_like(self.random)
+        for source, change in zip(self.sources, self.changes**2, strict=True):
+            factor, excess = 1.0, EXCESS.get(source.shape, 0.0)
+            if source.dof and source.shape == "normal":
+                settled = source.dof > UNSETTLED
+                factor = source.dof / (source.dof - 2) if settled else np.nan
+                excess = 6 / (source.dof - UNSETTLED) if settled else np.nan
+            counts = change > MINOR * self.combined**2
+            square = square + np.where(counts, factor, 1.0) * change
+            fourth = fourth + np.where(counts, excess * (factor * change) ** 2, 0.0)
+        return np.sqrt(square), fourth / np.maximum(square, np.finfo(float).tiny) ** 2
 
     def with_random(self, errors: Mapping[str, float]) -> Budget:
         """The budget with other random *errors* [unit of the parameter] by the names of parameters."""

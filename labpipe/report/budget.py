@@ -37,6 +37,12 @@ EXPLAINED = (
     f"{COMBINED} unless the pipeline asks for another `coverage`. Intervals are of 95 % and hold all of it."
 )
 EXPLAINED_COMPARISON = f"{COMBINED}. Intervals hold all of it."
+DRAWN = (
+    "Monte Carlo / first order: scatter of the draws over what first order says of the same distributions of "
+    "noise and numbers. Student's of ν degrees of freedom scatters by √(ν / (ν - 2)) times the standard "
+    "uncertainty; of four or fewer no scatter of draws is settled, and none is compared. Intervals are those "
+    "of the draws, with the model error where there is one."
+)
 # Share of the variance from which one source with sharp limits shapes the distribution.
 RECTANGULAR = 0.5
 # The head of the table of what nobody stated.
@@ -66,11 +72,14 @@ def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explaine
     with_systematic = {parameter.name: parameter for parameter in parameters if parameter.systematic}
     if not with_systematic:
         return ()
-    rows = tuple(_row(budget, parameter) for parameter in with_systematic.values())
+    by_noise = budget.with_random({p.name: p.std_error for p in parameters if p.std_error})
+    first_order = dict(zip(budget.names, by_noise.scatter_of_draws()[0].tolist(), strict=True))
+    rows = tuple(_row(budget, of, first_order[name]) for name, of in with_systematic.items())
     named = list(with_systematic)
     return (
         *([Paragraph(explained)] if explained else []),
         Table(HEADER, rows, f"Uncertainty of {name}", tuple(range(1, len(HEADER)))),
+        *([] if budget.drawn is None else [Paragraph(DRAWN)]),
         _bars(budget, named[:MOST_BARS]),
         _shares_table(budget, named),
         Paragraph(_improvement(with_systematic, budget), "note"),
@@ -78,7 +87,8 @@ def _blocks(name: str, parameters: Sequence[Parameter], budget: Budget, explaine
     )
 
 
-def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
+def _row(budget: Budget, parameter: Parameter, first_order: float) -> tuple[str, ...]:
+    """Its line of the table; *first_order*: the scatter of draws that first order says [unit of it]."""
     column = budget.names.index(parameter.name)
     parts = tuple(float(part[column]) for part in (budget.random, budget.systematic, budget.combined))
     unit = shown_unit(parameter.unit, parameter.value, parts[2])
@@ -86,6 +96,8 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
     random, systematic, combined = (difference_in(part, unit) for part in parts)
     dof = float(budget.dof[column])
     factor = parameter.coverage_factor or 0.0
+    scatter = np.nan if budget.drawn is None else float(budget.drawn[column, 0])
+    ratio = f"{scatter / first_order:.3f}" if first_order > 0 else "none"
     relative = f"{two_digits(100 * _relative(parameter))} %" if parameter.value else ""
     return (
         parameter.name,
@@ -95,7 +107,7 @@ def _row(budget: Budget, parameter: Parameter) -> tuple[str, ...]:
         relative,
         f"{factor:.2f}",
         "known" if dof > MANY else f"{math.floor(dof)}",
-        "" if budget.drawn is None else f"{budget.drawn[column, 0] / budget.combined[column]:.3f}",
+        "" if budget.drawn is None else ratio,
     )
 
 

@@ -24,9 +24,9 @@ from labpipe.report.cover import DATES, amount_of, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
+from labpipe.uncertainty import weighted
 from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
 from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.weighted import SETTLED, ControlLimits, control_limits, from_the_rest, straight_trend
 
 
 @dataclass(frozen=True)
@@ -179,31 +179,40 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition; of three or more their weighted line."""
+    """Values with their 95 % intervals over a condition; of three or more their weighted line, or parabola
+    of curved ones.
+    """
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.show(), marker="o", size=4.0, bars=(low, high))
-    chart = stack([Panel(axis, series.axis, (*_line(series, x), tests))], 3.0)
+    line, law = _line(series, x)
+    chart = stack([Panel(axis, series.axis, (*line, tests))], 3.0)
     caption = (
-        f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted straight "
-        "trend, shaded: its 95 % interval."
+        f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted {law}, shaded: "
+        "its 95 % interval."
     )
     return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
 
 
-def _line(series: CoefficientSeries, x: FloatArray) -> tuple[Series, ...]:
+def _line(series: CoefficientSeries, x: FloatArray) -> tuple[tuple[Series, ...], str]:
+    """The line and what it is in words."""
+    values, law = (series.show(), *series.parted_errors()), "straight trend"
     try:
-        line = straight_trend(x, series.show(), *series.parted_errors())
+        line = weighted.straight_trend(x, *values)
     except FitError:
-        return ()
+        return (), law
+    powers = np.arange(2)
+    if line.curved:
+        powers, law = np.arange(3), "parabola, since the tests are curved"
+        line = weighted.weighted_fit((x - np.mean(x))[:, None] ** powers, *values)
     drawn = np.linspace(x.min(), x.max(), N_TREND)
-    columns = np.column_stack([np.ones_like(drawn), drawn - np.mean(x)])
+    columns = (drawn - np.mean(x))[:, None] ** powers
     middle = columns @ line.values
     reach = np.array([line.reach(row) for row in columns])
-    return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),)
+    return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),), law
 
 
-def control_figure(series: CoefficientSeries, limits: ControlLimits) -> Figure:
+def control_figure(series: CoefficientSeries, limits: weighted.ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
     values = series.show()
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
@@ -250,13 +259,15 @@ def _overlay(title: str, parameter: str, unit: str, tests: dict[str, list[Fit]])
 
 TREND_HEADER = (
     "coefficient", "over", "slope", "unit", "95 % interval", "p-value", "after Holm", "beyond chance",
+    "verdict",
 )  # fmt: skip
 LEVEL = 0.05
 FEWEST = 3
 MOST_NAMED, MOST_COPIES = 2, 12
 EXPLAINED = (
     "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
-    "errors of the fits; where the tests scatter more than these say, the line's errors are enlarged. "
+    "errors of the fits; where the tests scatter more than these say, the line's errors are enlarged, and of "
+    "those that bend off it a parabola is drawn (curved). "
     "Differences are of each value from the weighted mean of the others. All p-values of one kind are "
     f"corrected together after Holm: at most {100 * LEVEL:g} % chance of any false alarm among them."
 )
@@ -264,8 +275,8 @@ EXPLAINED = (
 
 @dataclass(frozen=True)
 class Trend:
-    """The slope of a series over a condition [display unit per unit of the condition], and the chance of one
-    as steep without any.
+    """The slope of a series over a condition [display unit per unit of the condition], the chance of one as
+    steep without any, and what a straight line does not hold, as of `curvature_text`.
     """
 
     series: CoefficientSeries
@@ -274,6 +285,11 @@ class Trend:
     error: float
     interval: tuple[float, float]
     p_value: float
+    curved: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.series.title} over {self.condition}"
 
 
 def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document:
@@ -329,7 +345,7 @@ def _find_apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
 
 def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
     try:
-        return from_the_rest(coefficient.show(), joint_errors(*coefficient.parted_errors()))
+        return weighted.from_the_rest(coefficient.show(), joint_errors(*coefficient.parted_errors()))
     except FitError:
         unknown = np.full(len(coefficient.values), np.nan)
         return unknown, unknown
@@ -339,12 +355,13 @@ def _trends(coefficient: CoefficientSeries) -> list[Trend]:
     trends = []
     for name, (_, condition) in coefficient.over().items():
         try:
-            line = straight_trend(condition, coefficient.show(), *coefficient.parted_errors())
+            line = weighted.straight_trend(condition, coefficient.show(), *coefficient.parted_errors())
         except FitError:
             continue
         slope, error = float(line.values[1]), line.std_error(1)
         reach = line.quantile(1) * error
-        trends.append(Trend(coefficient, name, slope, error, (slope - reach, slope + reach), line.p_of(1)))
+        ends = slope - reach, slope + reach
+        trends.append(Trend(coefficient, name, slope, error, ends, line.p_of(1), line.curved))
     return trends
 
 
@@ -357,11 +374,7 @@ def _verdict(
     charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
     labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
-    steep = [
-        f"{trend.series.title} over {trend.condition}"
-        for trend, p in zip(trends, corrected, strict=True)
-        if p < LEVEL
-    ]
+    steep = [trend.name for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
     n_apart = sum(int(np.sum(p < LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
@@ -376,6 +389,7 @@ def _verdict(
     if trends:
         sentence = f"Trends beyond chance, of {len(trends)} looked at: {'; '.join(steep) or 'none'}."
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
+        blocks += [Paragraph(f"{of.name}: {of.curved}.", "warning") for of in trends if of.curved]
     if series:
         values = sum(len(coefficient.values) for coefficient in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
@@ -390,7 +404,7 @@ def _left_out(copies: Sequence[str]) -> tuple[Block, ...]:
 
 
 def _outside(coefficient: CoefficientSeries) -> list[str]:
-    return [coefficient.values[place].label for place in control_limits(coefficient.show()).outside]
+    return [coefficient.values[place].label for place in weighted.control_limits(coefficient.show()).outside]
 
 
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
@@ -416,6 +430,7 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
             f"{trend.p_value:.2g}",
             f"{p:.2g}",
             "yes" if p < LEVEL else "no",
+            weighted.trend_verdict(trend.slope, trend.curved, sure=p < LEVEL),
         )
         for trend, p in zip(trends, corrected, strict=True)
     )
@@ -439,15 +454,15 @@ def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
         blocks.append(Paragraph(f"{what} Their values may differ by the bands alone.", "warning"))
     blocks += [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
-        limits, n = control_limits(coefficient.show()), len(coefficient.values)
+        limits, n = weighted.control_limits(coefficient.show()), len(coefficient.values)
         outside = "; ".join(_outside(coefficient))
         which = f"outside: {outside}" if outside else "no value lies outside"
         centre, _, low, high = write_values(limits.centre, limits.rounding, limits.low, limits.high)
         ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
         suppose = "The limits suppose that all tests are of one condition."
         text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
-        if n < SETTLED:
-            text += f" With {n} values, fewer than {SETTLED}, the limits are provisional."
+        if n < weighted.SETTLED:
+            text += f" With {n} values, fewer than {weighted.SETTLED}, the limits are provisional."
         blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
         blocks.append(control_figure(coefficient, limits))
     return (*blocks, _value_table(coefficient, apart))

@@ -74,7 +74,8 @@ NUMERIC = (1, 3, 4, 5, 7)
 # Estimates whose correlation a sentence says, and pairs that it names. That of more is a figure, and so is
 # that of more than the pairs tell where two of them are hardly told apart.
 FEW_ESTIMATES, MOST_PAIRS, ENTANGLED = 10, 6, 0.9
-_EXPLANATION = Paragraph(wording.STARS_EXPLAINED)
+_STARS = Paragraph(wording.STARS_EXPLAINED)
+_EXPLANATION = Paragraph(f"{wording.STARS_EXPLAINED} {wording.VIF_EXPLAINED}")
 SAID_BEFORE = Paragraph("Notes and sources of error that stand with a fit before hold here as well.", "note")
 
 
@@ -93,7 +94,7 @@ def fit_sections(identification: Identification) -> tuple[Section, ...]:
         general = [block for block in blocks if _is_general(block)]
         again = [block for block in general if _wording(block) in stated]
         stated += map(_wording, general)
-        pointer = (SAID_BEFORE,) if any(block != _EXPLANATION for block in again) else ()
+        pointer = (SAID_BEFORE,) if any(block not in (_STARS, _EXPLANATION) for block in again) else ()
         fresh = tuple(block for block in blocks if not (_is_general(block) and block in again))
         sections.append(Section(f"Result: {title}", (*fresh[:2], *pointer, *fresh[2:])))
     return tuple(sections)
@@ -103,7 +104,7 @@ def _is_general(block: Block) -> bool:
     """Whether a block may hold of several fits: signs, notes, and tables that say the same."""
     return (
         isinstance(block, Table)
-        or block == _EXPLANATION
+        or block in (_STARS, _EXPLANATION)
         or (isinstance(block, Paragraph) and block.kind == "note")
     )
 
@@ -246,4 +247,4 @@ def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
     )
     quality = Table(("line", "R²", "points", "remarks"), goodness, "Goodness of the lines", (1, 2))
     slopes = [figures.line_figure(fits)] if len(fits) > 1 else []
-    return (table, Paragraph(wording.STARS_EXPLAINED), quality, *slopes)
+    return (table, _STARS, quality, *slopes)

@@ -17,8 +17,9 @@ STARS = ((0.001, "***"), (0.01, "**"), (0.05, "*"))
 STARS_EXPLAINED = (
     "Significance of the difference from zero: *** p < 0.001, ** p < 0.01, * p < 0.05, n.s. not significant "
     "(the value does not differ significantly from zero). Derived values are computed from the estimated "
-    "ones. VIF: variance inflation, 1 when no other parameter resembles this one."
+    "ones."
 )
+VIF_EXPLAINED = "VIF: variance inflation, 1 when no other parameter resembles this one."
 # Variance inflation from which regression texts speak of collinearity (Marquardt 1970), and the correlation
 # of two that gives it.
 LARGE_VIF, CLOSE = 10.0, 0.95

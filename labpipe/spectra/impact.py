@@ -344,7 +344,7 @@ def noise_around(noise: FloatArray, n_hit: int) -> FloatArray:
 def without_force_noise(
     parts: Parts, errors: Sequence[FloatArray], layout: Layout, what: str, hint: str, *, taken_off: bool
 ) -> Parts:
-    """A warning of every force whose noise moves H, alike at all lines, by more than MOST_COMMON standard
+    """A warning of the forces whose noise moves H, alike at all lines, by more than MOST_COMMON standard
     errors of a gain common to all lines; *what* it does, and the *hint*. *errors* of each recording's force,
     relative, (n_line,) [1] each. With the relative variance v of a line: sum(error / v) sqrt(2 / sum(1 / v)).
     *taken_off*: H is low by the errors, and is H / (1 - error); of one force the noise of every channel is
@@ -358,7 +358,7 @@ def without_force_noise(
     precision = size / np.maximum(
         variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
     )
-    factor, snr, findings = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, []
+    factor, snr, moving = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, {}
     hint = f"{TAKEN_OFF}; {hint}" if taken_off else hint
     for force in dict.fromkeys(layout.acting):
         of_force = [error for error, number in zip(errors, layout.acting, strict=True) if number == force]
@@ -366,8 +366,7 @@ def without_force_noise(
         total = np.maximum(np.sum(weights, axis=0), np.finfo(float).tiny)
         common = float(np.max(error @ weights * np.sqrt(2 / total), initial=0.0))
         if common > MOST_COMMON:
-            named = f"noise of the force {layout.inputs[force].label} {what}"
-            findings.append(force_noise(named, error, common, hint))
+            moving[layout.inputs[force].label] = error, common
             factor[:, 0, force] = 1 / (1 - error) if taken_off else 1
             if taken_off and len(layout.inputs) == 1:
                 # Relative variances, of which that of the force is error / (n - 1).
@@ -375,18 +374,24 @@ def without_force_noise(
                 relative = [of_force, np.maximum(of_h - of_force, LEAST_PART * of_h)]
                 snr = 1 / np.sqrt(np.maximum(np.concatenate(relative, axis=1), np.finfo(float).tiny))
     every = np.broadcast_to(factor, size.shape)
+    named = f"noise of the force{'s' if len(moving) > 1 else ''} {', '.join(moving)} {what}"
     return replace(
         parts,
         matrix=parts.matrix * factor,
         covariance=correct_covariance(parts.covariance, every),
         snr=snr,
-        findings=(*parts.findings, *findings),
+        findings=(*parts.findings, *([force_noise(named, list(moving.values()), hint)] if moving else [])),
     )
 
 
-def force_noise(what: str, error: FloatArray, common: float, hint: str = WINDOW) -> Finding:
-    """The warning of an *error* of H (n_line, ...) [1] alike at all lines."""
-    size = f"{100 * np.median(error):.2g} % (median over the lines), {common:.2g} standard errors"
+def force_noise(what: str, sizes: Sequence[tuple[FloatArray, float]], hint: str) -> Finding:
+    """The warning of errors of H (n_line, ...) [1] alike at all lines, each with the standard errors that it
+    is of a gain common to all lines.
+    """
+    errors, common = zip(*sizes, strict=True)
+    medians = ", ".join(f"{100 * np.median(error):.2g} %" for error in errors)
+    gains = ", ".join(f"{size:.2g}" for size in common)
+    size = f"{medians} (median over the lines), {gains} standard errors"
     return Finding("force-noise", f"{what} {size} of a gain that all lines have in common; {hint}")
 
 

@@ -181,6 +181,11 @@ class FrfSettings(Settings):
         if self.windowed is not None and self.impact.decay is not None:
             what = "'windowed' and impact.decay are two exponential windows"
             raise SettingError("windowed", what, "leave out impact.decay: the data have their window already")
+        window = self.impact.force_window
+        if window is not None and self.block is not None and window > self.block:
+            what = f"'force_window' of {window:g} s is longer than the block of {self.block:g} s"
+            hint = "a little more than the contact, such as 10 ms, or leave it out"
+            raise SettingError("impact", what, hint)
         self._check_local()
         self._check_result()
         self._check_bands()

@@ -107,6 +107,14 @@ def common_changes(fits: Sequence[Fit], change_of: Callable[[Fit, str], float]) 
     )
 
 
+def source_dofs(fits: Sequence[Fit]) -> FloatArray:
+    """Degrees of freedom (n_source,) [1] behind every source of `common_changes`, infinite where it is
+    known.
+    """
+    sources = (source for fit in fits if fit.budget is not None for source in fit.budget.sources)
+    return np.array([*{of.source: of.dof or math.inf for of in sources}.values()])
+
+
 def parameter_changes(fits: Sequence[Fit], name: str) -> FloatArray:
     """Changes (n_source, n_fit) [unit of the parameter] of the parameter *name* of every fit."""
     return common_changes(fits, lambda fit, source: change_in(fit, source, name))

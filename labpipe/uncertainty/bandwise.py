@@ -17,7 +17,7 @@ from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.registry import few, nearest
-from labpipe.uncertainty.amounts import chance, parameter_changes, random_error
+from labpipe.uncertainty.amounts import chance, parameter_changes, random_error, source_dofs
 from labpipe.uncertainty.settings import CompareSettings
 from labpipe.uncertainty.weighted import dof_of_sum
 
@@ -102,9 +102,8 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
     """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
-    shared = float(np.linalg.norm(second - first))
-    parts = np.append(errors, shared)
-    total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, np.array([a.dof, b.dof, np.inf]))
+    parts, dofs = np.append(errors, second - first), np.array([a.dof, b.dof, *source_dofs((a, b))])
+    total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, dofs)
     old, new = a.parameter(name).value, b.parameter(name).value
     square = student_quantile(0.975, dof) ** 2
     below = old**2 - square * (errors[0] ** 2 + first @ first)

@@ -31,6 +31,7 @@ from labpipe.uncertainty.weighted import (
     curvature_text,
     dof_of_sum,
     repeatability,
+    trend_verdict,
     weighted_fit,
     weighted_mean,
 )
@@ -60,7 +61,8 @@ def power_fit(campaign: Campaign) -> WeightedFit:
     columns = np.column_stack([np.ones_like(logs), *(np.log(x / _centre(x)) for x in conditions)])
     first = weighted_fit(columns, logs, relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
-    return weighted_fit(columns, logs, errors, campaign.common / campaign.value)
+    fit = weighted_fit(columns, logs, errors, campaign.common / campaign.value)
+    return replace(fit, moved_dof=campaign.common_dof)
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
@@ -100,6 +102,7 @@ def _line(campaign: Campaign) -> Comparison:
     setting = np.linalg.norm(fit.values[1:, None] * conditions, axis=0)
     errors = np.hypot(campaign.std_error, setting * settings.setting_error)
     fit = weighted_fit(columns, campaign.value, errors, campaign.common)
+    fit = replace(fit, moved_dof=campaign.common_dof)
     slope = fit.amount("slope", f"{campaign.unit}/{campaign.condition_unit}", 1)
     level = fit.amount("level", campaign.unit, 0)
     drawn = _draw(campaign.condition)
@@ -128,15 +131,13 @@ def _comparison(
 ) -> Comparison:
     p_value = fit.p_of(1)
     second = [chance("second_p_value", fit.p_of(2))] if campaign.settings.second else []
-    sure = p_value < campaign.settings.level
-    x, values, per, scale = campaign.condition, campaign.value, np.ones_like(campaign.value), fit.values[0]
+    over, values, scale = np.array(_conditions(campaign)), campaign.value, fit.values[0]
+    per = np.ones_like(values)
     if campaign.settings.law == "power":
-        x, values, per, scale = np.log(x), np.log(values), values, 1.0
+        over, values, per, scale = np.log(over), np.log(values), values, 1.0
     errors = campaign.std_error / np.abs(per), campaign.common / per
-    curved = "" if campaign.settings.second else curvature_text(x, values, *errors, scale)
-    verdict = "curved" if curved else "no trend"
-    if sure:
-        verdict = "rising" if fit.values[1] > 0 else "falling"
+    curved = curvature_text(over, values, *errors, scale)
+    verdict = trend_verdict(fit.values[1], curved, sure=p_value < campaign.settings.level)
     fits = "" if fit.p_value is None else f"; the law fits the points with {display.chance_text(fit.p_value)}"
     statement = f"{law}: {verdict} ({display.chance_text(p_value)}){fits}."
     if fit.inflated:
@@ -173,7 +174,8 @@ def quotient(campaign: Campaign) -> Comparison:
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
     logs, errors, common, dofs = _pair(campaign, *campaign.settings.groups)
-    return replace(weighted_mean(logs, errors, common), behind=dof_of_sum(1 / errors, dofs))
+    mean = weighted_mean(logs, errors, common)
+    return replace(mean, behind=dof_of_sum(1 / errors, dofs), moved_dof=campaign.common_dof)
 
 
 def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: str) -> Comparison:

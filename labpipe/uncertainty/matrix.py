@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
-from labpipe.distributions import f_tail, normal_quantile, normal_tail, student_quantile
+from labpipe.distributions import coverage_factor, f_tail, normal_tail, student_quantile
 from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
 from labpipe.records import comparison
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, changes_of
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
@@ -27,19 +27,19 @@ from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, le
 from labpipe.uncertainty.weighted import weighted_mean
 
 
-def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
+def repeat(parameters: Sequence[Parameter], given_dof: float = np.inf) -> comparison.Repeated:
     """The mean of parameters of one name and unit, weighted by their standard errors.
 
-    Errors by noise are enlarged where the repeats scatter more; the mean of what stands in the full errors
-    beyond noise is common to them and does not shrink. Where a repeat has no error, the plain mean with the
-    standard error of their scatter. Equation (comp-repeats).
+    Errors by noise, and by the scatter of recordings that a test is the mean of, are enlarged where the
+    repeats scatter more; the mean of what stands in the full errors beyond these is common to them and does
+    not shrink, with *given_dof* degrees of freedom behind it. Where a repeat has no error, the plain mean
+    with the standard error of their scatter. Equation (comp-repeats).
     """
     values = np.array([parameter.value for parameter in parameters])
     if values.size == 1:
         return comparison.Repeated(parameters[0], 1)
     scatter = float(np.std(values, ddof=1))
-    # None, where there is no error, becomes NaN.
-    errors = np.array([parameter.std_error for parameter in parameters], np.float64)
+    errors = np.array([_error_alone(parameter) for parameter in parameters])
     if not np.all(errors > 0):
         plain, error = float(np.mean(values)), scatter / float(np.sqrt(values.size))
         reach = float(student_quantile(0.975, values.size - 1) * error)
@@ -51,9 +51,25 @@ def repeat(parameters: Sequence[Parameter]) -> comparison.Repeated:
     noise = mean.std_error(0)
     whole = float(np.hypot(noise, common))
     # Student's quantile belongs to the part that was estimated from the scatter.
-    reach = float(np.hypot(mean.quantile(0) * noise, normal_quantile(0.975) * common))
+    reach = float(np.hypot(mean.quantile(0) * noise, coverage_factor(0.95, given_dof) * common))
     parameter = _parameter(parameters[0], float(mean.values[0]), noise, whole, reach)
     return comparison.Repeated(parameter, values.size, scatter=scatter, p_value=mean.p_value)
+
+
+def _error_alone(parameter: Parameter) -> float:
+    """Standard error by noise and by the scatter of a test's own recordings [unit of the parameter], which no
+    other test shares; NaN where there is none.
+    """
+    recordings = 0.0 if parameter.interval is None else parameter.interval.repeats
+    return float(np.hypot(np.nan if parameter.std_error is None else parameter.std_error, recordings))
+
+
+def _given_dof(fit: Fit, name: str) -> float:
+    """Degrees of freedom [1] behind what given numbers add to the uncertainty of a parameter."""
+    if fit.budget is None or name not in fit.budget.names:
+        return np.inf
+    given = replace(fit.budget, random=np.zeros(len(fit.budget.names)))
+    return float(given.dof[given.names.index(name)])
 
 
 def _parameter(like: Parameter, value: float, noise: float, whole: float, reach: float) -> Parameter:
@@ -385,7 +401,7 @@ def _point(
     names: Sequence[str],
     amounts: Mapping[str, _Amounts],
 ) -> comparison.MatrixPoint:
-    of_name = {name: [p for fit in fits for p in fit.parameters if p.name == name] for name in names}
+    of_name = {name: [(fit, p) for fit in fits for p in fit.parameters if p.name == name] for name in names}
     beside = []
     for name in (*settings.beside, *_of_path(settings)):
         unit, measured = amounts[name]
@@ -393,8 +409,17 @@ def _point(
         scatter = float(np.std(measured, ddof=1)) if measured.size > 1 else 0.0
         beside.append(comparison.Beside(name, float(np.mean(measured)), scatter, unit))
     codes = dict.fromkeys(finding.code for fit in fits for finding in of_level(WARNING, fit.findings))
-    values = tuple(repeat(parameters) for parameters in of_name.values() if parameters)
+    values = tuple(_with_changes(name, pairs) for name, pairs in of_name.items() if pairs)
     return comparison.MatrixPoint(place, tuple(fit.test for fit in fits), values, tuple(beside), tuple(codes))
+
+
+def _with_changes(name: str, pairs: Sequence[tuple[Fit, Parameter]]) -> comparison.Repeated:
+    """The mean of a coefficient over its repeats, with what moves it and those of other points alike."""
+    mean = repeat([parameter for _, parameter in pairs], min(_given_dof(fit, name) for fit, _ in pairs))
+    each = [changes_of(fit, parameter) for fit, parameter in pairs]
+    sources = dict.fromkeys(source for changes in each for source in changes)
+    shared = {of: sum(changes.get(of, 0.0) for changes in each) / len(each) for of in sources}
+    return replace(mean, changes=shared)
 
 
 def _beside_theory(

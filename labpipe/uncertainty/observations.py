@@ -15,7 +15,7 @@ from labpipe.records.comparison import ComparedPoint, Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
-from labpipe.uncertainty.amounts import parameter_changes, random_error
+from labpipe.uncertainty.amounts import parameter_changes, random_error, source_dofs
 from labpipe.uncertainty.settings import CompareSettings
 
 
@@ -109,6 +109,11 @@ class Campaign:
         return parameter_changes(
             [observation.fit for observation in self.observations], self.observations[0].parameter.name
         )
+
+    @property
+    def common_dof(self) -> FloatArray:
+        """Degrees of freedom (n_source,) [1] behind every common source."""
+        return source_dofs([observation.fit for observation in self.observations])
 
     @property
     def subject(self) -> str:

@@ -4,6 +4,7 @@ outliers.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +23,8 @@ from labpipe.uncertainty.observations import Campaign
 
 # p-value below which the scatter is larger than the standard errors explain.
 SCATTER_LEVEL = 0.05
-# p-value below which a parabola takes what a line leaves, and fewest values that tell.
-CURVED_LEVEL, FEWEST_CURVED = 1e-3, 5
+# p-value below which squares take what a line or a plane leaves, and the fewest degrees of freedom that tell.
+CURVED_LEVEL, FEWEST_LEFT = 1e-3, 2
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,11 @@ class WeightedFit:
     covariance (n_parameter, n_parameter).
 
     Where values scatter more than by their errors in the mean (chi2 above dof), single ones have a *spread*
-    besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *shared*:
-    the part of *covariance* by errors in common, which no scatter shows. *known*: what the errors alone make
-    of *covariance*. *behind*: degrees of freedom of errors that were estimated from scatter themselves.
-    *curved*: what a straight trend does not hold, as of `curvature_text`.
+    besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *moved*
+    (n_parameter, n_source): changes by errors in common, which no scatter shows, with *moved_dof* (n_source,)
+    degrees of freedom, known by default. *known*: what the errors alone make of *covariance*. *behind*:
+    degrees of freedom of errors that were estimated from scatter themselves. *curved*: what a straight trend
+    does not hold, as of `curvature_text`.
     """
 
     values: FloatArray
@@ -44,9 +46,10 @@ class WeightedFit:
     dof: int
     p_value: float | None
     spread: float
-    shared: FloatArray
+    moved: FloatArray
     known: FloatArray
     behind: float = np.inf
+    moved_dof: FloatArray | float = np.inf
     curved: str = ""
 
     @property
@@ -63,9 +66,11 @@ class WeightedFit:
         """Welch and Satterthwaite's degrees of freedom [1] along a *direction* (n_parameter,)."""
         # Two values alone, as far apart as chance makes them, leave the errors as known.
         alone = self.dof == 1 and self.spread > 0 and not self.inflated
-        parts = self.covariance, self.known if alone else self.shared
-        whole, sure = (direction @ part @ direction for part in parts)
-        return float(self.effective_dof * (whole / max(whole - sure, 1e-12 * whole)) ** 2)
+        squares = (direction @ self.moved) ** 2
+        whole, known = (direction @ part @ direction for part in (self.covariance, self.known))
+        estimated = max(whole - (known if alone else np.sum(squares)), 1e-12 * whole)
+        terms = estimated**2 / self.effective_dof + np.sum(squares**2 / self.moved_dof)
+        return float(whole**2 / terms) if terms else np.inf
 
     def reach(self, direction: FloatArray) -> float:
         """Half the 95 % interval [any unit] along a *direction* (n_parameter,). Equation (comp-quantile)."""
@@ -131,8 +136,7 @@ def weighted_fit(
 
         share = scipy.optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
         spread, (inverse, _, weights) = share * most, beside(share)
-    shared = weights @ changes.T @ changes @ weights.T
-    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, shared, known)
+    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, weights @ changes.T, known)
 
 
 def _solve(
@@ -239,14 +243,13 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
 def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     """The mean of the settings [unit of the values]: their scatter s, and errors that no repetition shows.
 
-    u^2 = s^2 + sum over sources of (mean of their changes)^2, with (a - 1) u^4 / s^4 degrees of freedom (JCGM
+    u^2 = s^2 + sum over sources of (mean of their changes)^2, the former with a - 1 degrees of freedom (JCGM
     100:2008, G.4.1).
     """
-    error = float(np.hypot(scatter.mean_error, np.linalg.norm(campaign.common @ scatter.weights)))
-    # Settings whose means are alike to the last digit leave nothing that was estimated from them.
-    dof = (scatter.settings - 1) * (error / scatter.mean_error) ** 4 if scatter.mean_error > 0 else np.inf
+    parts = np.array([scatter.mean_error, *campaign.common @ scatter.weights])
+    dof = dof_of_sum(parts, np.array([scatter.settings - 1, *campaign.common_dof]))
     quantile = distributions.coverage_factor(1 - 2 * TAIL, dof)
-    return with_error("mean", campaign.unit, scatter.mean, error, quantile)
+    return with_error("mean", campaign.unit, scatter.mean, float(np.linalg.norm(parts)), quantile)
 
 
 def repeatability(campaign: Campaign) -> Comparison:
@@ -345,25 +348,47 @@ def straight_trend(
     return replace(fit, curved=curvature_text(condition, values, errors, changes, fit.values[0]))
 
 
+def trend_verdict(slope: float, curved: str, *, sure: bool) -> str:
+    """What a trend of that *slope* [any unit] does: "rising" or "falling" where it is *sure*, beyond chance,
+    else "curved" of *curved* values, as of `curvature_text`, or "no trend".
+    """
+    if sure:
+        return "rising" if slope > 0 else "falling"
+    return "curved" if curved else "no trend"
+
+
 def curvature_text(
-    condition: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None, scale: float
+    conditions: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None, scale: float
 ) -> str:
-    """How far *values* (n,) [any unit], as of `straight_trend`, bend off a chord, in % of *scale*: where they
-    scatter about the line beyond their errors and a parabola takes it (F test). Else empty. Equation
+    """How far *values* (n,) [any unit], as of `straight_trend`, bend off a straight line over one condition
+    (n,), off a plane over several (n_condition, n), in % of *scale*: where they scatter about it beyond their
+    errors and the squares and products of the conditions take that (F test). Else empty. Equation
     (comp-curved).
     """
-    place = 2 * (condition - condition.min()) / max(np.ptp(condition), np.finfo(float).tiny) - 1
-    if len(set(place)) < 3 or values.size < FEWEST_CURVED:
+    over = np.atleast_2d(conditions)
+    span = np.maximum(np.ptp(over, axis=1, keepdims=True), np.finfo(float).tiny)
+    columns = np.column_stack(
+        [np.ones(values.size), *(2 * (over - over.min(axis=1, keepdims=True)) / span - 1)]
+    )
+    n_flat = columns.shape[1]
+    for first, second in itertools.combinations_with_replacement(range(1, n_flat), 2):
+        wider = np.column_stack([columns, columns[:, first] * columns[:, second]])
+        columns = wider if np.linalg.matrix_rank(wider) > columns.shape[1] else columns
+    n_bent = columns.shape[1] - n_flat
+    if not n_bent or values.size < columns.shape[1] + FEWEST_LEFT:
         return ""
-    columns = np.column_stack([place**0, place, place**2])
-    line, bent = (weighted_fit(columns[:, :n], values, errors, changes) for n in (2, 3))
-    ratio = np.sqrt(max(line.chi2 - bent.chi2, 0.0) * bent.dof / max(bent.chi2, np.finfo(float).tiny))
-    p_value = 2 * distributions.student_tail(float(ratio), bent.dof)
-    if not line.inflated or p_value >= CURVED_LEVEL:
+    flat, bent = (weighted_fit(columns[:, :n], values, errors, changes) for n in (n_flat, columns.shape[1]))
+    ratio = max(flat.chi2 - bent.chi2, 0.0) * bent.dof / n_bent / max(bent.chi2, np.finfo(float).tiny)
+    p_value = distributions.f_tail(ratio, n_bent, bent.dof)
+    if not flat.inflated or p_value >= CURVED_LEVEL:
         return ""
-    share, side = 100 * bent.values[2] / abs(scale), "below" if bent.values[2] > 0 else "above"
-    middle = f"in the middle {abs(share):.2g} % {side} the chord"
-    return f"curved, {middle} ({chance_text(p_value)}), which a straight line does not hold"
+    what, size = f"({chance_text(p_value)}), which a", 100 / abs(scale)
+    if len(over) > 1:
+        most = float(np.max(np.abs(columns[:, n_flat:] @ bent.values[n_flat:])))
+        return f"curved, by up to {size * most:.2g} % off a plane {what} plane does not hold"
+    side = "below" if bent.values[2] > 0 else "above"
+    share = size * abs(bent.values[2])
+    return f"curved, in the middle {share:.2g} % {side} the chord {what} straight line does not hold"
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -36,6 +36,21 @@ def test_the_same_fit_draws_the_same_noise(sdof_response) -> None:
     assert first.parameter("k") == second.parameter("k")
 
 
+def test_weights_of_few_degrees_of_freedom_cost_refits_what_they_cost_the_fit(sdof_response) -> None:
+    """A variance that was estimated from 6 degrees of freedom: estimates vary by 6^2 / (5^2 - 1) = 1.5 times
+    what known weights leave (the mean of its inverse and of the inverse's square), in draws as well. `ls`
+    has no weights.
+    """
+    known = sdof_response(1e-9, np.random.default_rng(1))
+    for estimator, factor in (("ml", 1.5**0.5), ("ls", 1.0)):
+        asked = replace(SDOF, bootstrap=60, estimator=estimator, weight="none")
+        first, other = (
+            identify(of, asked, judging=False)[0].parameter("k")
+            for of in (known, replace(known, covariance_dof=6.0))
+        )
+        assert other.std_error / first.std_error == pytest.approx(factor, rel=1e-3)
+
+
 def test_error_and_interval_are_those_of_the_refits() -> None:
     """Of 0, 1, ..., 200: 2.5 and 97.5 % are 5 and 195, the variance n (n + 1) / 12 with n = 201.
 

@@ -314,6 +314,34 @@ def test_a_large_uncertainty_is_beyond_first_order(rng) -> None:
     assert "c (" in finding.message and fit.budget is not None
 
 
+def test_first_order_says_how_student_s_draws_scatter() -> None:
+    """Scatter and excess kurtosis of a sum of noise 1 and a source of 2 by scipy's distributions."""
+    for dof, shape, source in ((6, "normal", stats.t(6)), (None, "rectangular", stats.uniform(0, 12**0.5))):
+        of_source = (Uncertainty("s", 1.0, "1", dof, shape),)
+        (scatter,), (excess,) = Budget(
+            ("k",), np.ones(1), None, of_source, np.full((1, 1), 2.0)
+        ).scatter_of_draws()
+        variance, kurtosis = source.stats("vk")
+        assert scatter == pytest.approx(np.sqrt(1 + 4 * variance))
+        assert excess == pytest.approx(kurtosis * (4 * variance) ** 2 / (1 + 4 * variance) ** 2)
+    few = Budget(("k",), np.ones(1), None, (Uncertainty("s", 1.0, "1", 3),), np.full((1, 1), 2.0))
+    assert np.isnan(few.scatter_of_draws()[0][0])
+
+
+@pytest.mark.parametrize(("dof", "draws"), [(3.0, 200), (6.0, 400)])
+def test_a_source_of_few_degrees_of_freedom_is_not_beyond_first_order(rng, dof: float, draws: int) -> None:
+    """A gain of 1 % with 6 degrees of freedom scatters by sqrt(6 / 4) times it, to first order as well; of
+    three degrees of freedom no scatter is compared.
+    """
+    few = ChannelUncertainty("gain", Uncertainty("f.sensitivity", 0.01, "1", dof=dof))
+    response = a_response(rng, noise=1e-4, output=(), force=(few,))
+    (fit,) = identify(response, settings("ml", mass="0.79 kg", monte_carlo=draws))
+    assert not [finding for finding in fit.findings if finding.code == "first-order"]
+    table = next(block for block in budget_blocks(fit) if isinstance(block, Table))
+    ratio = next(row[-1] for row in table.rows if row[0] == "c")
+    assert ratio == "none" if dof == 3.0 else float(ratio) == pytest.approx(1, abs=0.2)
+
+
 @pytest.mark.parametrize("shape", ["normal", "rectangular", "triangular"])
 def test_errors_are_drawn_by_their_distribution(rng, shape: str) -> None:
     """Standard deviation one, kurtosis 3, 9/5 and 12/5 (closed forms), within 5 standard deviations of 20,000

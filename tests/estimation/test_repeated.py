@@ -250,6 +250,18 @@ def test_an_interval_reaches_as_far_as_numbers_do() -> None:
     assert found.ci95 is not None and found.ci95[1] == np.inf
 
 
+def test_a_gain_of_few_degrees_of_freedom_widens_means_by_student_s_factor() -> None:
+    """The gain of the response is known to 5 % by 3 degrees of freedom, six hits scatter in k by .2 %:
+    the interval is the expanded one, t(3) = 3.18 times 5 % within 2 %.
+    """
+    response = repeated(6, 1)
+    gain = ChannelUncertainty("gain", Uncertainty("y.gain", 0.05, "1", dof=3.0))
+    known = replace(response, outputs=(replace(response.outputs[0], uncertainties=(gain,)),))
+    k = fitted(known).parameter("k")
+    assert k.repeats.used == 6 and (k.ci95[1] - k.ci95[0]) / 2 == pytest.approx(k.expanded, rel=1e-3)
+    assert k.expanded == pytest.approx(3.182 * 0.05 * k.value, rel=0.02)
+
+
 def test_recordings_of_one_name_are_repeats_as_others_are() -> None:
     """r.csv of three folders: the mean does not ask for names."""
     response = repeated(6, 1)

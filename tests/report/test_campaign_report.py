@@ -248,3 +248,19 @@ def test_the_command_reads_a_folder_of_results_and_writes_all_or_nothing(tmp_pat
         [str(tmp_path / "results"), "-o", str(tmp_path / "d.html"), "--figures", str(tmp_path / "file")],
     )
     assert isinstance(refused.exception, DataError) and not (tmp_path / "d.html").exists()
+
+
+def test_a_bent_coefficient_is_curved_in_verdict_table_and_figure() -> None:
+    """1 % above the middle at either end, known to 5e-5: a parabola is drawn, least in the middle."""
+    preloads = [100, 200, 300, 400, 500, 600, 700]
+    values = [1e6 * (1 + 0.01 * ((p - 400) / 300) ** 2) for p in preloads]
+    bent = campaign(values, preloads)
+    assert "k of direct over preload: curved, in the middle 1 % below the chord" in told(bent)
+    document = campaign_document(bent)
+    blocks = [block for section in document.sections for block in section.blocks]
+    (trends,) = [block for block in blocks if isinstance(block, Table) and "trends" in block.caption]
+    assert {row[1]: row[-1] for row in trends.rows}["preload"] == "curved"
+    (figure,) = [b for b in blocks if isinstance(b, Figure) and "over preload" in b.caption]
+    line = next(of for of in figure.graphic.panels[0].series if of.name == "trend")
+    assert "parabola" in figure.caption
+    assert line.x[int(np.argmin(line.y))] == pytest.approx(400, abs=10)

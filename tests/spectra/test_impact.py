@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -343,6 +344,22 @@ def test_noise_of_the_hammer_that_moves_all_lines_alike_is_named(
     assert bool(finding(size, replace(settings, estimator="H2"))) == (window is not None)
 
 
+def test_noise_of_two_hammers_is_one_finding_that_names_both(rng: np.random.Generator) -> None:
+    """The second force has 1.5 times the noise of the first, and H1 is low by the square of it."""
+    quick = -2 * np.pi * 4.0 + 2j * np.pi * 60.0
+    runs = []
+    for dof, size in (("x", 0.02), ("y", 0.03)):
+        clean = hammered(rng, half_sine(LENGTH, [20, *STARTS[1:]], [1.0] * 5), quick)
+        noise = np.array([size, 1e-3 * np.max(np.abs(clean.samples[:, 1]))]) * rng.normal(size=(LENGTH, 2))
+        channels = (replace(clean.channels[0], dof=dof), clean.channels[1])
+        runs.append(Recording(channels, clean.samples + noise, RATE, dof))
+    impact = ImpactSettings(trigger=0.4, double_hit=0.4)
+    response = measure(runs, FrfSettings(excitation="impact", block=2.0, band=(20.0, 100.0), impact=impact))
+    (message,) = [f.message for f in response.findings if f.code == "force-noise"]
+    found = re.match(r"noise of the forces (.+), (.+) after its hits makes H low by (.+) %, (.+) %", message)
+    assert found and float(found[4]) == pytest.approx(2.25 * float(found[3]), rel=0.15)
+
+
 def test_noise_of_the_hammer_does_not_make_h_low(rng: np.random.Generator) -> None:
     """Noise of 2 % of each hit's peak in its force, and in every second record hum of as much: the mean of H
     over the truth is 1 by its scatter; H1 by itself is low by 4/5 of the noise over the force, 5 %.
@@ -500,6 +517,10 @@ def test_a_roving_sensor_gives_one_column(rng: np.random.Generator) -> None:
             "two exponential windows",
         ),
         ({"excitation": "impact", "windowed": {"exponential": 0.0}}, "must be positive"),
+        (
+            {"excitation": "impact", "impact": {"force_window": 1.1}},
+            "'force_window' of 1.1 s is longer than the block of 1 s",
+        ),
     ],
 )
 def test_windows_that_cannot_be_meant(entries: dict[str, object], fault: str) -> None:

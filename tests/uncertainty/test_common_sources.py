@@ -8,22 +8,25 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from labpipe.project.catalogue_search import differences
+from labpipe.project.compare import listed_points
 from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error
 from labpipe.uncertainty.compare import difference, trend
+from labpipe.uncertainty.matrix import condition_matrix
 from labpipe.uncertainty.observations import campaign_of
-from labpipe.uncertainty.settings import CompareSettings
+from labpipe.uncertainty.settings import CompareSettings, MatrixSettings
 from labpipe.uncertainty.weighted import from_the_rest, repeatability, straight_trend
 from tests.uncertainty.conftest import a_fit
 
 
-def with_gain(fit: Fit, gain: float, source: str = "force sensor") -> Fit:
+def with_gain(fit: Fit, gain: float, source: str = "force sensor", dof: float | None = None) -> Fit:
     """The fit with a relative uncertainty of its k by one source."""
     k = fit.parameter("k")
     change = -gain * k.value
     budget = Budget(
-        ("k",), np.array([k.std_error]), 30.0, (Uncertainty(source, gain, "1"),), np.array([[change]])
+        ("k",), np.array([k.std_error]), 30.0, (Uncertainty(source, gain, "1", dof),), np.array([[change]])
     )
     whole = float(np.hypot(k.std_error, change))
     return dataclasses.replace(
@@ -33,9 +36,10 @@ def with_gain(fit: Fit, gain: float, source: str = "force sensor") -> Fit:
     )
 
 
-def gained(values, source=lambda _n: "force sensor", gain: float = 0.02, error: float = 1e3):
+def gained(values, source=lambda _n: "force sensor", gain: float = 0.02, error: float = 1e3, dof=None):
     fits = [
-        with_gain(a_fit(f"t{n}", {"k": (value, error)}), gain, source(n)) for n, value in enumerate(values)
+        with_gain(a_fit(f"t{n}", {"k": (value, error)}), gain, source(n), dof)
+        for n, value in enumerate(values)
     ]
     conditions = {
         f"t{n}": {"load": f"{n % 2 + 1} kN", "way": "up" if n < 2 else "down"} for n in range(len(values))
@@ -79,6 +83,32 @@ def test_a_trend_keeps_its_slope_and_its_level_takes_the_uncertainty() -> None:
     assert found.amount("slope").std_error == pytest.approx(
         np.hypot(0.02 * 1e3, 1e3 / np.sqrt(4 * 500.0**2)), rel=1e-6
     )
+
+
+def half(parameter) -> float:
+    return (parameter.ci95[1] - parameter.ci95[0]) / 2
+
+
+def test_a_sensor_known_by_few_degrees_of_freedom_widens_by_student_s_factor() -> None:
+    """Gains of 2 % with 3 degrees of freedom are all but a thousandth of each uncertainty: of a level, of two
+    settings' mean and of a matrix of repeats t(3) = 3.18 of it, and of the ratio of two sensors, with 6
+    degrees of freedom (Welch and Satterthwaite), t(6) = 2.45.
+    """
+    three, six = stats.t.ppf(0.975, [3, 6])
+    fits, conditions = gained([1e6, 2e6, 1e6, 2e6], error=1e2, dof=3.0)
+    settings = CompareSettings(kind="trend", fit="axial", over="load", name="t")
+    level = trend(campaign_of(settings, fits, conditions)).amount("level")
+    assert half(level) == pytest.approx(three * 0.02 * 1.5e6, rel=1e-3)
+    grouped = CompareSettings(kind="repeatability", fit="axial", group="way", name="r")
+    alike = gained([1e6, 1.0001e6, 1.0001e6, 1e6], error=1e2, dof=3.0)[0]
+    mean = repeatability(campaign_of(grouped, alike, conditions)).amount("mean")
+    assert half(mean) == pytest.approx(three * 0.02 * 1e6, rel=1e-3)
+    matrix = condition_matrix(MatrixSettings(fit="axial", over=("load",), name="m"), fits, conditions)
+    repeated = matrix.points[0].values[0]
+    assert repeated.repeats == 2 and half(repeated.parameter) == pytest.approx(three * 0.02 * 1e6, rel=1e-3)
+    two = gained([1e6, 2e6, 1e6, 2e6], lambda n: "a" if n < 2 else "b", error=1e2, dof=3.0)[0]
+    found = difference(campaign_of(PAIRED, two, conditions)).amount("difference")
+    assert np.log1p(found.ci95[1]) == pytest.approx(six * np.sqrt(2) * 0.02, rel=1e-3)
 
 
 def test_the_mean_of_repeats_keeps_the_error_that_no_repetition_shows() -> None:
@@ -147,3 +177,15 @@ def test_the_model_error_that_tests_share_is_left_out_beside_stated_numbers() ->
     alone = dataclasses.replace(fit, parameters=(wide,), budget=budget).as_fitted
     assert alone.parameter("k").value == k.value
     assert random_error(alone, alone.parameter("k")) == pytest.approx(1e3)
+
+
+def test_points_of_two_matrices_do_not_differ_by_the_mass_that_they_share() -> None:
+    """2 % by one sensor moves both points alike, but for 2 % of the 1 % by which they differ."""
+    over = MatrixSettings(fit="axial", over=("load",), name="m")
+    first, other = (
+        list(listed_points([condition_matrix(over, *gained([k, 2e6, k, 2e6]))])) for k in (1e6, 1.01e6)
+    )
+    pair = differences(first, other)[0]
+    # Both means have an error of 1e3 / sqrt(2) by themselves, and 2 % of their difference in common.
+    assert pair.std_error == pytest.approx(np.hypot(1e3, 0.02 * 1e4), rel=1e-6)
+    assert pair.p_value is not None and pair.p_value < 1e-15

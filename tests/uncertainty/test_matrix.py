@@ -8,10 +8,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.errors import ConfigError
 from labpipe.records.comparison import EquilibriumPath, PathPoint
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.identification import Fit, Identification, listed_parameters
 from labpipe.report.condition_matrix import coefficient_figures, matrix_sections
 from labpipe.uncertainty.matrix import condition_matrix, repeat
@@ -76,6 +77,20 @@ def test_what_is_common_to_repeats_does_not_shrink() -> None:
     assert mean.std_error == pytest.approx(0.1)
     assert mean.full_error == pytest.approx(np.sqrt(0.01 + 9.0))
     assert mean.ci95 == pytest.approx((10 - 1.95996 * np.sqrt(9.01), 10 + 1.95996 * np.sqrt(9.01)), rel=1e-5)
+
+
+def test_tests_of_several_recordings_are_not_apart_by_what_these_scatter() -> None:
+    """Noise of 1 and a scatter of 10 between the recordings of each test: two that differ by 12 are alike
+    (12 / sqrt(202) = .84 standard errors), and their mean is known to sqrt(101 / 2).
+    """
+    parts = IntervalParts(1.0, repeats=10.0)
+    each = [
+        Parameter("k", value, "N/m", std_error=1.0, std_error_inflated=101**0.5, interval=parts)
+        for value in (994.0, 1006.0)
+    ]
+    mean = repeat(each)
+    assert mean.p_value == pytest.approx(2 * stats.norm.sf(12 / 202**0.5))
+    assert mean.parameter.full_error == pytest.approx((101 / 2) ** 0.5)
 
 
 def test_repeats_without_errors_have_that_of_their_scatter() -> None:

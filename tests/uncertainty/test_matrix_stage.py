@@ -5,7 +5,7 @@ beside, faults.
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +16,11 @@ from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.main import run_command
 from labpipe.errors import ConfigError, ConfigErrors, DataError
 from labpipe.project.compare import point_theory
-from labpipe.project.matrix_table import matrix_table, rotor_sheets, write_rotor_xlsx
+from labpipe.project.matrix_table import AXES, matrix_table, rotor_sheets, write_rotor_xlsx
 from labpipe.project.pipeline_file import load_pipeline
 from labpipe.raw_files.frf_csv import write_frf_csv
+from labpipe.records.finding import Parameter
+from labpipe.records.fit_details import FitDetail
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.uncertainty.matrix import PointTheory
 from labpipe.uncertainty.settings import MatrixSettings, MatrixTheorySettings
@@ -171,6 +173,39 @@ def test_rotor_tables_give_k_and_c_at_the_whirl_frequency(result: Path) -> None:
     narrow = [replace(fit, band_hz=(100.0, 120.0), details=()) for fit in identification.fits]
     beyond = dict(rotor_sheets(replace(identification, fits=tuple(narrow)), (matrix,)))["1 synchronous"]
     np.testing.assert_allclose(beyond["cyy"], synchronous["cyy"], rtol=1e-9)
+
+
+@dataclass(frozen=True)
+class Stiffness(FitDetail):
+    """The same stiffness [N/m] at all lines, in all directions."""
+
+    size: float
+
+    @property
+    def course(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([10.0, 100.0]), np.full((2, 2, 2), self.size, complex)
+
+
+def test_rotor_tables_weigh_repeats_as_the_matrix_does(result: Path) -> None:
+    """Stiffnesses of 1 and 1.001 MN/m, known to 1 and 3 kN/m: the mean by their variances is 1.0001 MN/m."""
+    whole = read_identification(result)
+    (matrix,) = whole.sections["matrix"]
+    (point, tests) = matrix.points[0], matrix.points[0].tests[:2]
+    fits = []
+    for size, error, test in zip((1e6, 1.001e6), (1e3, 3e3), tests, strict=True):
+        names = [f"{letter}_{axes}" for letter in "kc" for axes in AXES]
+        same = tuple(Parameter(name, size, "N/m", std_error=error) for name in names)
+        fits.append(replace(whole.fits[0], test=test, parameters=same, details=(Stiffness(size),)))
+    alone = replace(matrix, points=(replace(point, tests=tests),))
+    sheets = dict(rotor_sheets(replace(whole, fits=tuple(fits)), (alone,)))
+    np.testing.assert_allclose(sheets["1 synchronous"]["kxx"], 1.0001e6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("rotor", "x.csv"), ("rotor-csv", "x.xlsx"), ("matrix", "x.mat")])
+def test_an_ending_of_another_format_is_refused(result: Path, tmp_path: Path, labpipe, kind, name) -> None:
+    ended = labpipe("export", result, "--to", kind, "-o", tmp_path / name)
+    assert ended.code == 2 and not (tmp_path / name).exists() and "known: ." in ended.err
+    assert f"'{Path(name).suffix}' is no ending of a file in the format {kind}" in ended.err
 
 
 def test_ross_reads_the_rotor_table(result: Path, tmp_path: Path) -> None:

@@ -144,3 +144,20 @@ def test_slopes_over_two_conditions_scatter_as_stated(campaign, rng) -> None:
         stated = np.median([result.amount(name).std_error for result in found])
         assert np.std(values) == pytest.approx(stated, rel=4 / np.sqrt(800))
         assert np.mean(values) == pytest.approx(truth, abs=4 * np.std(values) / 20)
+
+
+def test_a_surface_that_is_no_plane_is_curved(campaign) -> None:
+    """k rises by 10 % with either condition only where the other is high: products reach 10 % off the plane
+    at the corners. A plane with the same noise is none.
+    """
+    grid = [(speed, load) for speed in (20.0, 40.0, 60.0) for load in (500.0, 1000.0, 1500.0)]
+    noise = np.array([0.5, -1.0, 0.3, 0.8, -0.6, 0.1, -0.4, 0.9, -0.7]) * 1e-3
+    a, b = (np.array(grid) / (20.0, 500.0) - 2).T
+    for product, verdict in ((0.1, "curved"), (0.0, "no trend")):
+        series = [
+            (1e6 * (1 + product * first * second + off), 1e3, {"speed": f"{speed} Hz", "load": f"{load} N"})
+            for (speed, load), first, second, off in zip(grid, a, b, noise, strict=True)
+        ]
+        found = trend(campaign(TWO, series))
+        assert found.verdict == verdict
+        assert ("by up to 10 % off a plane" in found.statement) == (product > 0)

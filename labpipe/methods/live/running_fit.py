@@ -217,7 +217,7 @@ class HitSums:
             else (impact.AFTER_HITS, f"{impact.TAKEN_OFF}; {impact.WINDOW}")
         )
         message = f"{fit}: noise of the force {what}"
-        return [impact.force_noise(message, error, common, hint)] if common > impact.MOST_COMMON else []
+        return [impact.force_noise(message, [(error, common)], hint)] if common > impact.MOST_COMMON else []
 
 
 # Noise that follows |H|^2 over that which does not, in the mean of the lines; what the logarithm of their

@@ -287,6 +287,8 @@ def test_the_command_fits_the_lines_alone_and_judges_their_rules(tmp_path: Path,
     assert labpipe("report", tmp_path / "out", "-o", tmp_path / "out/r.md").code == 0
     page = (tmp_path / "out/r.md").read_text("utf-8")
     assert "No rig file was named." in page and "FRFs were given" not in page
+    # Neither a variance inflation nor a coherence is there to speak of.
+    assert "VIF" not in page and "coherence" not in page
     wrong = ("--set", "expect.probe.slope=8.3 mV/um +- 0.1 %")
     ended = labpipe("calibrate", "-c", tmp_path / "p.yaml", "-o", tmp_path / "out", *wrong)
     assert ended.code == 1 and "FAILED" in ended.out

@@ -219,7 +219,9 @@ def test_decays_are_inspected_and_exported(lab: Path, labpipe) -> None:
         np.testing.assert_allclose(table["y [m]"], decays.decays[0].samples[:, 0])
         np.testing.assert_allclose(table["t [s]"], decays.decays[0].start + np.arange(len(table)) / 512)
     for other in ("uff", "mat"):
-        ended = labpipe("export", kept, "--to", other, "-o", lab / "d.x")
+        ended = labpipe("export", kept, "--to", other, "-o", lab / f"d.{other}")
         assert (
-            ended.code == 2 and "free decays cannot be written as" in ended.err and not (lab / "d.x").exists()
+            ended.code == 2
+            and "free decays cannot be written as" in ended.err
+            and not (lab / f"d.{other}").exists()
         )
