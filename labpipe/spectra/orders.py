@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
@@ -64,7 +65,7 @@ class OrderTrack:
     n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half the
     peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion from
     its centre in each of `planes` [SI]. mean (n, n_channel): what does not turn [SI], of probes with their
-    gap voltage where the shaft stands; of circles that in x and y.
+    gap voltage where the shaft stands; of circles that in x and y. findings: on the tacho.
     """
 
     order: float
@@ -77,6 +78,7 @@ class OrderTrack:
     orbit: FloatArray
     mean: FloatArray
     planes: tuple[Plane, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def track_order(
@@ -131,6 +133,7 @@ def track_order(
         orbit=orbit,
         mean=mean,
         planes=planes,
+        findings=motion.findings,
     )
 
 
