@@ -79,7 +79,12 @@ def archive(
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
         raise DataError(f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER`")
-    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
+    made = read_identification(folder / NAME)
+    if made.dataset is not None and not made.inputs:
+        what = "is of a watch, whose recordings came one by one: no pipeline gives it again"
+        hint = "run `labpipe run` over them, `each: FOLDER/*`, and archive its results"
+        raise DataError(what, folder / NAME, hint)
+    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, made.pipeline))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
         pack(packed, output, day or change_day(folder / NAME))
@@ -92,8 +97,7 @@ def archive(
         echo(f"left out: {path}, which does not belong to this result")
 
 
-def _pipeline_of(folder: Path) -> Path:
-    name = read_identification(folder / NAME).pipeline
+def _pipeline_of(folder: Path, name: str) -> Path:
     home = pipeline_folder(folder)
     if home is None:
         what = f"no pipeline '{name}' is in or above the results"
