@@ -19,11 +19,13 @@ from labpipe.methods.balancing.influence import (
     Places,
     ReadingNoise,
     RemainingVibration,
+    WeightInterval,
     best_weights,
     influence,
     next_runs,
     placed_weights,
     residual_of,
+    weight_intervals,
 )
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
@@ -279,7 +281,8 @@ def _si_of(text: str) -> str:
 class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
-    *widened*: factor on all errors, since the readings scatter more than was stated.
+    *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
+    weights that would leave nothing, none where readings are fewer than planes.
     """
 
     file: BalanceFile
@@ -289,6 +292,7 @@ class Balanced:
     residual: RemainingVibration
     next_runs: dict[str, float]
     widened: float = 1.0
+    intervals: tuple[WeightInterval, ...] = ()
 
     @property
     def permissible(self) -> float | None:
@@ -321,7 +325,8 @@ def balance(file: BalanceFile) -> Balanced:
     candidates = dict(zip(names, [*(trial * np.eye(len(file.planes), dtype=complex)), weights], strict=True))
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened)
+    intervals = weight_intervals(knowledge, weights)
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals)
 
 
 def _choose_weights(
@@ -350,6 +355,10 @@ def _places(name: str, plane: PlaneSettings) -> Places:
 def balance_entry(result: Balanced) -> dict[str, Any]:
     """The result as `labpipe balance --json` writes it, SI units, angles in rad."""
     residual, file = result.residual, result.file
+    intervals = [
+        {"size_ci95": list(of.size), "angle_ci95": None if of.angle is None else list(of.angle)}
+        for of in result.intervals
+    ]
     by_line = zip(file.lines, residual.amplitudes, residual.low, residual.high, strict=True)
     return {
         "schema": "labpipe/balance/1",
@@ -361,8 +370,11 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
                 "unit": "kg.m",
                 "angle": float(np.angle(weight) % (2 * np.pi)),
                 "masses": [{"angle": angle, "mass": mass} for angle, mass in result.masses.get(name, ())],
+                **interval,
             }
-            for name, weight in zip(file.planes, result.weights, strict=True)
+            for name, weight, interval in zip(
+                file.planes, result.weights, intervals or [{}] * len(file.planes), strict=True
+            )
         ],
         "residual": {
             "rms": residual.rms,
