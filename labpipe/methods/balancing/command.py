@@ -83,9 +83,8 @@ def sentences(result: Balanced) -> Iterator[str]:
         most = float(np.sum(residual.unbalance))
         word, asked = "within" if most <= result.permissible else "beyond", 1e3 * (file.settings.grade or 0)
         yield (
-            f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), G "
-            f"{asked * most / result.permissible:.2g}, {word} the permissible "
-            f"{1e6 * result.permissible:.3g} g mm of G {asked:g}"
+            f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
+            f"{1e6 * result.permissible:.3g} g mm of G {asked:g} (G {asked * most / result.permissible:.2g})"
         )
     if result.widened > 1:
         yield (

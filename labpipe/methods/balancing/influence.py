@@ -27,7 +27,7 @@ COVERED = (2.5, 97.5)
 # chi-square of one number.
 REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
 # Directions and steps of a profile, and its end in standard deviations of both parts of a weight together.
-DIRECTIONS, STEPS, FARTHEST = 48, 61, 4.0
+DIRECTIONS, STEPS, FARTHEST = 48, 201, 4.0
 # Rounds of least squares in which errors of the weights are weighed.
 ROUNDS = 4
 
