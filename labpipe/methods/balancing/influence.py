@@ -7,7 +7,7 @@ z_0 and alpha is a prior and runs are data: the model alone, runs alone and both
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -23,9 +23,8 @@ DRAWS, SEED = 4000, 20261125
 # Truths over which one more run is looked at.
 TRIED = 200
 COVERED = (2.5, 97.5)
-# Rounds of reweighting, degrees of freedom and width of the draws about their result; the 95 % quantile of
-# chi-square of one number.
-REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
+# Rounds of reweighting, and the 95 % quantile of chi-square of one number.
+REWEIGHTED, PROFILE = 10, 3.841
 # Directions and steps of a profile, and its end in standard deviations of both parts of a weight together.
 DIRECTIONS, STEPS, FARTHEST = 48, 201, 4.0
 # Rounds of least squares in which errors of the weights are weighed.
@@ -332,45 +331,43 @@ def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
 def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float = 0.0) -> FloatArray:
     """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m] set to a *share* of
     themselves [1], by runs alone and more lines than planes: those of the 95 % profile interval of the
-    unbalance u in the planes, by draws about it.
+    unbalance u in the planes.
 
     -ln p(u) = r^H V^-1 r, r = z_0 - alpha u over the lines, V(u) its covariance, larger by what no u
     explains. Draws of alpha would tell u too well where planes act nearly alike, since noise makes their
     small difference larger. Equation (balance-unbalance).
     """
-    middle, rows = _likeliest_unbalance(knowledge)
-    rng = np.random.default_rng(SEED + 4)
-    normal = rng.standard_normal((2, DRAWS, middle.size)) / np.sqrt(rng.chisquare(TAILS, (DRAWS, 1)) / TAILS)
-    spread = np.linalg.inv(np.linalg.cholesky(rows.conj().T @ rows)).conj()
-    made = np.vstack([middle, middle + WIDER / np.sqrt(2) * (normal[0] + 1j * normal[1]) @ spread])
     # What is left of the interval for each u, the error of setting its weights may take.
-    room = _room(knowledge, made)
-    likely = room >= 0
-    reach = share * np.abs(weights) * np.sqrt(room[likely, None] / 2)
-    return np.asarray(np.max(np.abs(made[likely] + weights) + reach, axis=0))
+    ends = [
+        np.max(np.abs(made + weight) + share * abs(weight) * np.sqrt(room / 2))
+        for weight, (made, room) in zip(weights, _profiles(knowledge), strict=True)
+    ]
+    return np.array(ends)
 
 
-def _likeliest_unbalance(knowledge: Influence) -> tuple[ComplexArray, ComplexArray]:
-    """The u (n_plane,) [kg m] of least r^H V^-1 r, and whitened alpha (n_line, n_plane) [1 / kg m] there."""
+def _profiles(knowledge: Influence) -> Iterator[tuple[ComplexArray, FloatArray]]:
+    """Of every plane the unbalances u_q (n,) [kg m] of its 95 % profile interval to all directions, and what
+    each leaves of it (n,) [1].
+    """
     z, alpha = knowledge.mean[:, 0], knowledge.mean[:, 1:]
-    root: ComplexArray = np.eye(z.size, dtype=np.complex128)
+    n_line, n_plane = alpha.shape
+    root: ComplexArray = np.eye(n_line, dtype=np.complex128)
     for _ in range(REWEIGHTED):
         rows = np.linalg.solve(root, alpha)
         middle = np.linalg.lstsq(rows, np.linalg.solve(root, z), rcond=None)[0]
         root = np.linalg.cholesky(knowledge.covariance_with(np.concatenate([[1.0], -middle])))
-    return middle, rows
-
-
-def _room(knowledge: Influence, made: ComplexArray) -> FloatArray:
-    """What every u *made* (n, n_plane) [kg m], the likeliest first, leaves of its profile interval (n,) [1]:
-    none below zero.
-    """
-    whole = np.column_stack([np.ones(len(made)), -made])
-    left = whole @ knowledge.mean.T
-    weighed = np.linalg.solve(knowledge.covariance_with(whole), left[..., None])[..., 0]
-    square = np.sum(left.conj() * weighed, axis=1).real
-    least, n_free = float(np.min(square)), max(knowledge.mean.shape[0] - made.shape[1], 1)
-    return PROFILE * max(1.0, least / n_free) - 2 * (square - least)
+    spread = np.linalg.inv(rows.conj().T @ rows)
+    turns = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+    steps = (np.linspace(0.0, FARTHEST, STEPS)[:, None] * turns).reshape(-1, 1)
+    for plane in range(n_plane):
+        made = middle + steps * (spread[:, plane] / np.sqrt(spread[plane, plane].real))
+        whole = np.column_stack([np.ones(len(made)), -made])
+        left = whole @ knowledge.mean.T
+        weighed = np.linalg.solve(knowledge.covariance_with(whole), left[..., None])[..., 0]
+        square = np.sum(left.conj() * weighed, axis=1).real
+        least = float(np.min(square))
+        room = PROFILE * max(1.0, least / max(n_line - n_plane, 1)) - 2 * (square - least)
+        yield made[room >= 0, plane], room[room >= 0]
 
 
 @dataclass(frozen=True)
@@ -384,27 +381,18 @@ class WeightInterval:
 
 
 def weight_intervals(knowledge: Influence, weights: ComplexArray) -> tuple[WeightInterval, ...]:
-    """Of the weight in every plane, by the likelihood of its unbalance along the profile of each to all
-    directions; angles about those of *weights* (n_plane,) [kg m]. None for fewer lines than planes.
+    """Of the weight in every plane, angles about those of *weights* (n_plane,) [kg m]; none for fewer lines
+    than planes.
     """
-    middle, rows = _likeliest_unbalance(knowledge)
-    if len(rows) < middle.size:
-        return ()
-    spread = np.linalg.inv(rows.conj().T @ rows)
-    turns = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
-    steps = (np.linspace(0.0, FARTHEST, STEPS)[:, None] * turns).reshape(-1, 1)
     intervals = []
-    for plane, weight in enumerate(weights):
-        profile = spread[:, plane] / np.sqrt(spread[plane, plane].real)
-        made = middle + steps * profile
-        right = -made[_room(knowledge, made) >= 0, plane]
-        turned = np.angle(right / weight)
-        sizes, any_angle = np.abs(right), np.ptp(turned) > np.pi
-        ends = float(np.angle(weight) % (2 * np.pi)) + np.array([turned.min(), turned.max()])
-        whole = (float(ends[0]), float(ends[1]))
-        intervals.append(
-            WeightInterval((float(sizes.min()), float(sizes.max())), None if any_angle else whole)
-        )
+    if len(knowledge.mean) < weights.size:
+        return ()
+    for weight, (made, _) in zip(weights, _profiles(knowledge), strict=True):
+        sizes, turned = np.abs(made), np.angle(-made / weight)
+        angle = float(np.angle(weight) % (2 * np.pi))
+        ends = (angle + float(turned.min()), angle + float(turned.max()))
+        size = (float(sizes.min()), float(sizes.max()))
+        intervals.append(WeightInterval(size, None if np.ptp(turned) > np.pi else ends))
     return tuple(intervals)
 
 
