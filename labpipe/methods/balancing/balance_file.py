@@ -34,6 +34,8 @@ from labpipe.records.settings import Settings, parse_phasor, quantity, setting, 
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
+# Share of itself that no reading and no weight is uncertain by: a per cent sign is missing.
+MOST_SHARE = 0.5
 # Chance below which the readings contradict the stated noise.
 UNLIKELY = 0.01
 # Weights by plane and readings by line of a run.
@@ -68,6 +70,9 @@ class BalanceSettings(Settings):
     def __post_init__(self) -> None:
         self.require_positive("mass", "speed", "grade")
         self.require_not_negative("repeatability", "weight_uncertainty")
+        for name in ("repeatability", "weight_uncertainty"):
+            if getattr(self, name) >= MOST_SHARE:
+                raise SettingError(name, f"'{name}' is {100 * getattr(self, name):g} % of the size", "1 %")
         of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
         missing = [name for name, value in of_grade.items() if value is None]
         if missing and len(missing) < len(of_grade):

@@ -435,6 +435,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         ({"planes": ["left"]}, "runs.3.weights.right: there is no such plane; planes: left"),
         ({"runs": "none"}, "runs: a list of runs is needed"),
         ({"repeatability": "1 mm"}, "repeatability: "),
+        ({"repeatability": "1"}, "'repeatability' is 100 % of the size; 1 %"),
         ({"noise": "1 mm/s"}, "noise: "),
         ({"grade": "2.5"}, "grade: '2.5' has no unit"),
         ({"speeed": "50 Hz"}, "speeed: unknown key; did you mean 'speed'?"),
