@@ -102,6 +102,11 @@ def test_a_viscous_fit_of_a_loss_factor_is_told_the_law_of_its_damping() -> None
     for name, value in {"k": K, "f_n": TRUTH["f_n"], "c": 0.16 * K / w_n, "zeta": 0.08}.items():
         low, high = fit.parameter(name).ci95
         assert low < value < high and high - low < 0.03 * value
+    # A delay that is small beside the law leaves a residual of both, and is not taken for all of it.
+    late = replace(wide, matrix=h * np.exp(-2j * np.pi * frequency * 10e-6)[:, None, None])
+    (fit,) = identify(replace(late, covariance=wide.covariance / 100), FitSettings("sdof", mass=M))
+    assert fit.parameter("k").reason == "hysteretic damping"
+    assert not any(finding.code == "delay" for finding in fit.findings)
     # Stiffness over frequency is neither law: no other one is named.
     response = one_mass(1, 2e-4)
     stiffer = 1 + 0.5 * np.sqrt(1j * response.frequency / 44.3)
