@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import DataError
@@ -157,6 +156,9 @@ def _revolutions(times: FloatArray, counts: IntArray, per_turn: int) -> FloatArr
     first = mark == 0
     if per_turn == 1 or np.sum(first) < FEWEST_TURNS:
         return turns
+    # A run that finds all fresh loads none of it.
+    import scipy
+
     course = scipy.interpolate.CubicSpline(times[first], turns[first])
     within = times < times[first][-1]
     places, errors = np.zeros((2, per_turn))
