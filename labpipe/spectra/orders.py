@@ -19,6 +19,7 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST
 from labpipe.spectra.ports import sensor_response
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
+from labpipe.spectra.synchronous import smooth_motion
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def track_order(
     frequency responses of the channels are taken out. DataError without a complete segment, without two
     samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
-    motion = shaft_motion(source, lines)
+    motion = smooth_motion(shaft_motion(source, lines), source.sample_rate)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = columns_of(source.channels, "output")
     if not outputs:
@@ -119,6 +120,9 @@ def track_order(
         )
     variance = variance * _whole_colour(colour, beside.size)
     amplitude, variance = at_middle(times, revolutions / speed, amplitude, variance)
+    if motion.std_error is not None:
+        turned = 2 * np.pi * order * np.interp(times, motion.times, motion.std_error)
+        variance = variance + np.abs(turned[:, None] * amplitude) ** 2
     chains = np.stack([sensor_response(sensor, order * speed) for sensor in sensors], axis=1)
     late = sum(channel.delay for channel in source.channels if channel.name == lines.tacho)
     amplitude = amplitude / chains * np.exp(-2j * np.pi * order * speed * late)[:, None]

@@ -37,12 +37,14 @@ FEWEST_TURNS, UNEVEN = 10, 6.0
 @dataclass(frozen=True)
 class ShaftMotion:
     """Revolutions (n,) [1] counted at times (n,) [s], both ascending. Constant speed between them and beyond
-    the ends. findings: on pulses that are missing or too many.
+    the ends. findings: on pulses that are missing or too many; std_error (n,) [1] of the revolutions, None
+    where it is not known.
     """
 
     times: FloatArray
     revolutions: FloatArray
     findings: tuple[Finding, ...] = ()
+    std_error: FloatArray | None = None
 
     def angle(self, time: FloatArray) -> FloatArray:
         """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given

@@ -240,8 +240,12 @@ def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
     allowed = PULSE_ERROR / sample_rate * float(np.mean(motion.speeds))
     for degree in range(1, min(MOST_DEGREES, times.size - 2) + 1):
         course = np.polynomial.Chebyshev.fit(times, counts, degree)
-        if np.sqrt(np.mean((course(times) - counts) ** 2)) <= allowed:
-            return replace(motion, revolutions=course(times))
+        scatter = np.sqrt(np.mean((course(times) - counts) ** 2))
+        if scatter <= allowed:
+            place = np.polynomial.polyutils.mapdomain(times, course.domain, course.window)
+            basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, degree))[0]
+            error = scatter * np.linalg.norm(basis, axis=1)
+            return replace(motion, revolutions=course(times), std_error=error)
     return motion
 
 
