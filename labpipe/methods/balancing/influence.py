@@ -372,7 +372,7 @@ def _profiles(knowledge: Influence) -> Iterator[tuple[ComplexArray, FloatArray]]
 
 @dataclass(frozen=True)
 class WeightInterval:
-    """95 % profile interval of a weight that leaves nothing: *size* [kg m] and *angle* [rad], None where it
+    """95 % interval of a weight that leaves nothing: *size* [kg m] and *angle* [rad], None where it
     may be any.
     """
 
@@ -381,18 +381,21 @@ class WeightInterval:
 
 
 def weight_intervals(knowledge: Influence, weights: ComplexArray) -> tuple[WeightInterval, ...]:
-    """Of the weight in every plane, angles about those of *weights* (n_plane,) [kg m]; none for fewer lines
-    than planes.
+    """Of the weight in every plane, angles about those of *weights* (n_plane,) [kg m]; by a model from draws
+    of what it knows, whose covariance has no inverse. None for fewer lines than planes.
     """
-    intervals = []
     if len(knowledge.mean) < weights.size:
         return ()
-    for weight, (made, _) in zip(weights, _profiles(knowledge), strict=True):
-        sizes, turned = np.abs(made), np.angle(-made / weight)
-        angle = float(np.angle(weight) % (2 * np.pi))
-        ends = (angle + float(turned.min()), angle + float(turned.max()))
-        size = (float(sizes.min()), float(sizes.max()))
-        intervals.append(WeightInterval(size, None if np.ptp(turned) > np.pi else ends))
+    every = [made for made, _ in _profiles(knowledge)] if not knowledge.modelled else []
+    every = every or list(_made_by_planes(knowledge.draws(DRAWS // 10)).T)
+    # Of a profile the ends themselves.
+    covered = COVERED if knowledge.modelled else (0.0, 100.0)
+    intervals: list[WeightInterval] = []
+    for weight, made in zip(weights, every, strict=True):
+        low, high = np.percentile(np.abs(made), covered).tolist()
+        turned = np.percentile(np.angle(-made / weight), covered)
+        first, last = (float(np.angle(weight) % (2 * np.pi)) + turned).tolist()
+        intervals.append(WeightInterval((low, high), None if last - first > np.pi else (first, last)))
     return tuple(intervals)
 
 

@@ -155,6 +155,25 @@ def test_intervals_of_weights_hold(n_line, share):
     assert 0.90 <= np.mean(holds) <= 0.99 and any_angle < 20
 
 
+def test_by_a_model_intervals_are_those_of_its_draws():
+    """Three readings whose covariance has rank two: z_0 known to 1 %, alpha exactly, so that the weight is
+    known to 1.96 * 1 % in size, in each direction.
+    """
+    alpha, size = np.array([1.0, 1j, -1.0]), 1e-3
+    mean = np.stack([size * alpha, alpha], axis=1)
+    root = np.zeros((2, 3, 2, 2))
+    root[0, :, 0, 0], root[1, :, 0, 0] = 0.01 * size * alpha.real, 0.01 * size * alpha.imag
+    root[0, :, 0, 1], root[1, :, 0, 1] = -0.01 * size * alpha.imag, 0.01 * size * alpha.real
+    known = Influence(mean, root.reshape(12, 2) @ root.reshape(12, 2).T, modelled=True)
+    weights = best_weights(known.square)
+    (interval,) = weight_intervals(known, weights)
+    # Of 400 draws, whose percentiles scatter by a tenth.
+    ends = np.array(interval.size) / size - 1
+    np.testing.assert_allclose(ends, [-0.0196, 0.0196], rtol=0.25)
+    turned = np.array(interval.angle) - np.angle(weights[0]) % (2 * np.pi)
+    np.testing.assert_allclose(turned, [-0.0196, 0.0196], rtol=0.25)
+
+
 def test_an_influence_that_is_hardly_known_is_not_trusted():
     """Two planes that act alike, 60 rigs: the exact inverse leaves more than the least expected square."""
     rng, squares = np.random.default_rng(3), []
