@@ -6,6 +6,7 @@ import datetime
 import os
 import sys
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +21,16 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import RESULTS, Unpacked, check_output, contents, is_archive, pack, unpack
+from labpipe.project.archive import (
+    RESULTS,
+    Unpacked,
+    changed_since,
+    check_output,
+    contents,
+    is_archive,
+    pack,
+    unpack,
+)
 from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
@@ -79,7 +89,12 @@ def archive(
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
         raise DataError(f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER`")
-    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder))
+    made = read_identification(folder / NAME)
+    if made.dataset is not None and not made.inputs:
+        what = "is of a watch, whose recordings came one by one: no pipeline gives it again"
+        hint = "run `labpipe run` over them, `each: FOLDER/*`, and archive its results"
+        raise DataError(what, folder / NAME, hint)
+    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, made.pipeline))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
         pack(packed, output, day or change_day(folder / NAME))
@@ -92,8 +107,7 @@ def archive(
         echo(f"left out: {path}, which does not belong to this result")
 
 
-def _pipeline_of(folder: Path) -> Path:
-    name = read_identification(folder / NAME).pipeline
+def _pipeline_of(folder: Path, name: str) -> Path:
     home = pipeline_folder(folder)
     if home is None:
         what = f"no pipeline '{name}' is in or above the results"
@@ -213,6 +227,11 @@ def verify(
         raise ConfigError("--again: needs the pipeline", hint="name it with -c PIPELINE")
     with read_results(folder, everything) as here:
         code = _verify_folder(here, show(folder), pipeline_path, how)
+        if pipeline_path is not None and not again and (here / NAME).is_file():
+            with suppress(LabpipeError):
+                made, pipeline = read_identification(here / NAME), load_pipeline(pipeline_path)
+                if stale := changed_since(made, pipeline, folder):
+                    echo(message_line(f"{pipeline_path}: {stale}; `labpipe run` makes it again"))
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
 

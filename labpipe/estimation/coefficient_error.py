@@ -25,7 +25,7 @@ from labpipe.estimation.mode_model import MOVED
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, compliance
 from labpipe.estimation.model_error import reason_of, shares_by_cause, with_model_error
 from labpipe.estimation.weights import Weights, white_columns
-from labpipe.records.finding import Discrepancy, Parameter
+from labpipe.records.finding import NORMAL, Discrepancy, Parameter
 
 # Lines below which a course cannot be told from the coefficients.
 FEWEST_LINES = 4
@@ -96,8 +96,10 @@ class CoefficientError:
         # What has no uncertainty, such as a given coefficient, stays as it is.
         if not wide.std_error or not noise or wide.ci95 is None:
             return parameter
-        # The value stays that of the fit, which others can repeat; the interval holds it.
-        low, high = min(wide.ci95[0], parameter.value), max(wide.ci95[1], parameter.value)
+        # The value stays that of the fit, which others can repeat; the interval holds it and its noise.
+        reach = NORMAL * noise
+        low = min(wide.ci95[0], parameter.value - reach)
+        high = max(wide.ci95[1], parameter.value + reach)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
         stated = with_model_error(parameter, parameter.value, full, (low, high), noise)
         return replace(stated, reason=self.reason, discrepancy=self.discrepancy)

@@ -196,6 +196,8 @@ class RationalFit(SquareSum):
 
 # Difference in AIC beyond which a model has no support (Burnham and Anderson 2002, sec. 2.6).
 NO_SUPPORT = 10.0
+# Share of chi-square that hysteretic damping leaves at most where it is the cause and others are smaller.
+LITTLE = 0.05
 # Bound of each descent of a variant: a structure that contradicts the data may have no minimum.
 MOST_COMPARED_STEPS = 40
 
@@ -219,9 +221,9 @@ def candidates(
 
     *ml_estimate*: that of the fit itself, where it is by ml. Every descent is bounded. Without `compare` only
     independent damping coefficients beside a damping law, and beside them hysteretic damping, where it alone
-    leaves noise. p_value: probability of an equal or larger decrease of chi-square to the richest variant
-    that contains this one, if this one is true (likelihood ratio, chi-square with as many degrees of freedom
-    as additional parameters). Equation (est-aic).
+    leaves noise, or LITTLE of chi-square. p_value: probability of an equal or larger decrease of chi-square
+    to the richest variant that contains this one, if this one is true (likelihood ratio, chi-square with as
+    many degrees of freedom as additional parameters). Equation (est-aic).
     """
     if not has_noise(measured):
         return (), ()
@@ -248,7 +250,8 @@ def candidates(
     tested = [_test(candidate, inside.get(name, [])) for name, candidate in fitted.items()]
     tested.sort(key=lambda candidate: candidate.aic)
     only_as_cause = tested and not whole and setup.settings.damping == VISCOUS
-    if only_as_cause and chi2_tail(tested[0].chi2, tested[0].dof) < MISMATCH_P:
+    is_noise = bool(tested) and chi2_tail(tested[0].chi2, tested[0].dof) >= MISMATCH_P
+    if only_as_cause and not is_noise and tested[0].chi2 > LITTLE * tested[-1].chi2:
         return (), ()
     left_out = "; ".join(name for name in results if name not in fitted)
     what = f"Compared models left out, their descents found no minimum: {left_out}."

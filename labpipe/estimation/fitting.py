@@ -34,10 +34,10 @@ from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import mean_over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
-from labpipe.estimation.statistics import Estimate, Stated, student_limit
+from labpipe.estimation.statistics import Estimate, Stated, restate, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
 from labpipe.estimation.weights import fit_weights, has_noise, weighted_by_model
-from labpipe.records.finding import Finding, Parameter
+from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Candidate, Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
@@ -267,9 +267,11 @@ def _fit_band(
         parameters, note = bootstrap(parameters, case, fitted, _refit)
         notes = (*notes, note)
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
-    budgeted = _with_budget(case, parameters, fitted, judged.factors)
     has_error = judgement.model_error is not None
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
+    if law and has_error:
+        parameters = _hold_law(parameters, setup, measured)
+    budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     most = LIKELIER * compared_models[0].chi2 if law else np.inf
     faults = _find_faults(case, judged, most) if judging else {}
@@ -312,6 +314,30 @@ def _compare_variants(
     return compared, notes, f"{HYSTERETIC.name} damping" if of_law else ""
 
 
+def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measured) -> tuple[Parameter, ...]:
+    """The parameters with intervals that hold those of hysteretic damping as well, where that alone leaves
+    noise: of c and zeta what dissipates as much at the resonance.
+    """
+    other = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
+    model = _model(other)
+    of_law = derived.reported_parameters(_estimate(measured, model, other.settings), model, other)
+    values = {p.name: np.array([p.value, p.std_error or 0.0]) for p in of_law}
+    if {"k", "eta", "f_n"} <= values.keys():
+        values["zeta"] = values["eta"] / 2
+        values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
+    held = []
+    for p in parameters:
+        if p.name in values and p.ci95 is not None and p.interval is not None:
+            value, error = values[p.name].tolist()
+            low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
+            full = (high - low) / (2 * NORMAL)
+            excess = float(np.sqrt(max(full**2 - p.interval.noise**2, 0.0)))
+            parts = replace(p.interval, discrepancy=excess)
+            p = restate(p, p.value, full, (low, high), interval=parts)
+        held.append(p)
+    return tuple(held)
+
+
 # Times the chi-square of another law of damping up to which a delay is as likely.
 LIKELIER = 2.0
 
@@ -323,13 +349,16 @@ def _with_cause(fit: Fit, judgement: Judgement, cause: str) -> Fit:
     error, reason = judgement.model_error, cause.removeprefix("a ")
     if not cause or error is None:
         return fit
+    said = {f"likely {error.reason}": f"likely {cause}"}
+    if cause.endswith("damping"):
+        said[" as noise alone makes them"] = " as noise alone makes them, or wider by that law's values"
+    findings = list(fit.findings)
+    for old, new in said.items():
+        findings = [replace(f, message=f.message.replace(old, new)) for f in findings]
     return replace(
         fit,
         parameters=tuple(replace(p, reason=reason) if p.reason else p for p in fit.parameters),
-        findings=tuple(
-            replace(f, message=f.message.replace(f"likely {error.reason}", f"likely {cause}"))
-            for f in fit.findings
-        ),
+        findings=tuple(findings),
     )
 
 

@@ -96,15 +96,20 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         hint = "run `labpipe run` again, or make the archive with that build"
         raise DataError(what, folder / IDENTIFICATION, hint)
+    if what := changed_since(identification, pipeline, folder):
+        raise DataError(what, pipeline.path, "write into the file what --set said, and run it again")
+
+
+def changed_since(identification: Identification, pipeline: Pipeline, folder: Path) -> str:
+    """What a pipeline or its rig says that the result in a folder was not made with, empty for nothing."""
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):
         # With the conditions as the recordings showed them.
         entries.pop("tests", None)
     differing = [name for name in dict.fromkeys((*stated, *made)) if stated.get(name) != made.get(name)]
     differing += ["rig"] if rig_entry(pipeline) != identification.rig else []
-    if differing:
-        what = f"says something else under '{differing[0]}' than the result in {folder} was made with"
-        raise DataError(what, pipeline.path, "write into the file what --set said, and run it again")
+    where = f"under '{differing[0]}'" if differing else ""
+    return f"says something else {where} than the result in {folder} was made with" if where else ""
 
 
 def _names_of_result(folder: Path, identification: Identification, pipeline: Pipeline) -> list[str]:

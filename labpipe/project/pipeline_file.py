@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
@@ -15,7 +16,7 @@ from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_k
 from labpipe.project.ingest import SourceFile
 from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.rules import Rule, read_rules
-from labpipe.project.settings_reader import Faults, Reading, join, named_files, read_settings
+from labpipe.project.settings_reader import TYPED, Faults, Reading, join, named_files, read_settings
 from labpipe.project.tests import SINGLE, EachFile, Test, TestReader, read_rig
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
@@ -170,6 +171,9 @@ def read_fit(node: Marked, key: str, name: str, reading: Reading) -> FitSettings
         presets |= {"mass": rig.mass, "uncertainties": uncertain}
     if len(faults) > before:
         return None
+    if named and named not in MODELS:
+        # Which keys an unknown model takes is unknown.
+        entries = {name: entry for name, entry in entries.items() if name in settings_of(FitSettings)}
     plain = replace(node, content=entries).without(*section[1:] if section else ())
     return read_settings(FitSettings, plain, key, faults, **presets)
 
@@ -180,8 +184,12 @@ def _move_to_section(entries: dict[str, Marked]) -> dict[str, Marked]:
     kind = model_kind(model) if model in MODELS else None
     if kind is None or kind.settings is None or not kind.optional:
         return entries
-    own = settings_of(FitSettings)
-    moved = [key for key in settings_of(kind.settings) if key in entries and key not in own]
+    own, of_model = settings_of(FitSettings), settings_of(kind.settings)
+    # A typing error goes with the key that it is nearest to.
+    meant = {
+        key: difflib.get_close_matches(key, [*own, *of_model], 1, TYPED) for key in entries if key not in own
+    }
+    moved = [key for key, near in meant.items() if near and near[0] in of_model]
     if not moved:
         return entries
     first = entries[moved[0]]

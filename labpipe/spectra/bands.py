@@ -79,23 +79,26 @@ def _within(frequency: FloatArray, band: tuple[float, float]) -> BoolArray:
 LOBE = {"periodic": 0.5, "random": 2.0, "impact": 2.0}
 
 
-def masked_bands(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[tuple[float, float], ...]:
+def masked_bands(
+    sources: Sequence[SampleSource], settings: FrfSettings
+) -> tuple[tuple[tuple[float, float], ...], tuple[Finding, ...]]:
     """Bands (low, high) [Hz] around 1x, 2x, ... of every recording: slowest to fastest speed, extended by the
-    mask's width.
+    mask's width; findings on the tacho.
     """
     if settings.mask is None:
-        return ()
+        return (), ()
     width = settings.mask.width
     if width is None:
         length = settings.period or settings.block
         assert length is not None
         width = LOBE[settings.excitation] / length
-    ranges = dict.fromkeys(shaft_motion(source, settings.mask).speed_range for source in sources)
-    return tuple(
+    motions = [shaft_motion(source, settings.mask) for source in sources]
+    bands = tuple(
         (max(order * low - width, 0.0), order * high + width)
-        for low, high in ranges
+        for low, high in dict.fromkeys(motion.speed_range for motion in motions)
         for order in range(1, settings.mask.harmonics + 1)
     )
+    return bands, tuple(finding for motion in motions for finding in motion.findings)
 
 
 def mask_findings(

@@ -25,7 +25,7 @@ from labpipe.spectra.ports import Layout, Parts, check_rate, find_layout, join, 
 from labpipe.spectra.quality import AliasingMonitor, aliasing_findings, reciprocity_findings
 from labpipe.spectra.random import random_parts
 from labpipe.spectra.random_lines import LOW_SNR
-from labpipe.spectra.settings import FrfSettings
+from labpipe.spectra.settings import SPECTRA, FrfSettings
 from labpipe.spectra.stepped import SAME_LINE, stepped_parts
 from labpipe.spectra.swept_sine import sweep_parts
 from labpipe.spectra.synchronous import without_shaft
@@ -62,6 +62,8 @@ def measure(
     if settings.excitation not in EXCITATIONS:
         what = f"excitation {settings.excitation} gives no FRF"
         raise ConfigError(what, hint="fit free decays with model: decay")
+    if settings.gives == SPECTRA:
+        raise ConfigError("`result: spectra` gives no FRF", hint="channel_spectra makes them")
     if settings.excitation in BLOCKS:
         for source in sources:
             check_in_time(source, [channel for channel in source.channels if channel.role != "reference"])

@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import Port
 from labpipe.records.rig import AXIS_ANGLES
@@ -18,6 +19,7 @@ from labpipe.spectra.convert import FORWARD_BACKWARD, FROM_DIRECTIONAL, SMALLEST
 from labpipe.spectra.ports import sensor_response
 from labpipe.spectra.settings import ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, shaft_motion
+from labpipe.spectra.synchronous import smooth_motion
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class OrderTrack:
     n_channel) E|dX|^2 from the residual of the segment; ports: the columns. overall (n, n_channel): half the
     peak-to-peak value of the total motion [SI]; orbit (n, n_plane): largest distance of the total motion from
     its centre in each of `planes` [SI]. mean (n, n_channel): what does not turn [SI], of probes with their
-    gap voltage where the shaft stands; of circles that in x and y.
+    gap voltage where the shaft stands; of circles that in x and y. findings: on the tacho.
     """
 
     order: float
@@ -77,6 +79,7 @@ class OrderTrack:
     orbit: FloatArray
     mean: FloatArray
     planes: tuple[Plane, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def track_order(
@@ -90,7 +93,7 @@ def track_order(
     frequency responses of the channels are taken out. DataError without a complete segment, without two
     samples for a turn of the order, or outside a channel's response. Equation (run-order).
     """
-    motion = shaft_motion(source, lines)
+    motion = smooth_motion(shaft_motion(source, lines), source.sample_rate)
     orders = np.unique(np.append(np.arange(1.0, lines.harmonics + 1), order))
     outputs = columns_of(source.channels, "output")
     if not outputs:
@@ -117,6 +120,9 @@ def track_order(
         )
     variance = variance * _whole_colour(colour, beside.size)
     amplitude, variance = at_middle(times, revolutions / speed, amplitude, variance)
+    if motion.std_error is not None:
+        turned = 2 * np.pi * order * np.interp(times, motion.times, motion.std_error)
+        variance = variance + np.abs(turned[:, None] * amplitude) ** 2
     chains = np.stack([sensor_response(sensor, order * speed) for sensor in sensors], axis=1)
     late = sum(channel.delay for channel in source.channels if channel.name == lines.tacho)
     amplitude = amplitude / chains * np.exp(-2j * np.pi * order * speed * late)[:, None]
@@ -131,6 +137,7 @@ def track_order(
         orbit=orbit,
         mean=mean,
         planes=planes,
+        findings=motion.findings,
     )
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
+from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import DataError
+from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.spectra.channels import READ_SAMPLES
 from labpipe.spectra.settings import ShaftLines
@@ -25,15 +26,25 @@ STRETCH = 10
 IRREGULAR = 0.1
 FEWEST_JUDGED = 8
 
+# Turns to either side, two at least, that an interval is held against: beyond so many times both it is of
+# pulses that are missing, at most so many or a turn's; two that are together no longer than that, one of them
+# shorter than these, are of one too many. Share of the pulses up to which such faults are told.
+NEIGHBOURS, LONGER, SHORTER, MOST_FAULTS = 5, 1.5, 0.75, 0.1
+# Turns that tell the places of marks, and standard errors of these beyond which they are uneven.
+FEWEST_TURNS, UNEVEN = 10, 6.0
+
 
 @dataclass(frozen=True)
 class ShaftMotion:
     """Revolutions (n,) [1] counted at times (n,) [s], both ascending. Constant speed between them and beyond
-    the ends.
+    the ends. findings: on pulses that are missing or too many; std_error (n,) [1] of the revolutions, None
+    where it is not known.
     """
 
     times: FloatArray
     revolutions: FloatArray
+    findings: tuple[Finding, ...] = ()
+    std_error: FloatArray | None = None
 
     def angle(self, time: FloatArray) -> FloatArray:
         """Shaft angle at *time* [s], same shape [rad], zero at the first pulse (or at the start for a given
@@ -70,8 +81,9 @@ def steady(speed: float, duration: float) -> ShaftMotion:
 
 
 def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
-    """The shaft's motion in a recording. DataError when the tacho channel is missing, has fewer than two
-    pulses, or pulses as irregular as noise makes them.
+    """The shaft's motion in a recording: pulses that are missing or too many are told by their neighbours,
+    uneven marks by all turns. DataError when the tacho channel is missing, has fewer than two pulses, pulses
+    as irregular as noise makes them, or more faults than can be told.
     """
     if lines.tacho is None:
         assert lines.speed is not None
@@ -88,7 +100,76 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
         raise DataError(
             f"{tacho} shows no regular pulses but noise, as of a shaft that stands still", hint=hint
         )
-    return ShaftMotion(pulses, np.arange(pulses.size) / lines.pulses)
+    times, counts = _count(pulses, lines.pulses)
+    extra, missing = pulses.size - times.size, int(counts[-1]) + 1 - times.size
+    if not (extra or missing):
+        return ShaftMotion(times, _revolutions(times, counts, lines.pulses))
+    faults = f"{missing} of {int(counts[-1]) + 1} pulses are missing, {extra} are too many"
+    if extra + missing > MOST_FAULTS * counts[-1]:
+        raise DataError(
+            f"{tacho}: {faults}, more than neighbours can tell", hint="sample faster, or see to its level"
+        )
+    told = Finding("tacho-pulses", f"{tacho}: {faults}; by the intervals beside them they are counted right")
+    return ShaftMotion(times, _revolutions(times, counts, lines.pulses), (told,))
+
+
+def _count(times: FloatArray, per_turn: int) -> tuple[FloatArray, IntArray]:
+    """Of pulses at *times* (n_pulse,) [s] those that are not too many (n,), and their numbers (n,) among them
+    and those that are missing, by the intervals of the turns beside them.
+    """
+    most = max(NEIGHBOURS, per_turn)
+    while times.size > FEWEST_JUDGED:
+        intervals = np.diff(times)
+        before, after = _medians_beside(intervals, per_turn)
+        # Of every pulse but the ends: the intervals on both sides of it, against those beside these.
+        sides = np.array([before[:-1], after[1:]])
+        pair = intervals[:-1] + intervals[1:]
+        short = np.minimum(intervals[:-1], intervals[1:]) < SHORTER * sides.min(axis=0)
+        pair[~(short & (pair < LONGER * sides.max(axis=0)))] = np.inf
+        # Of neighbours that between the nearest two: the first pulse of some that bounce stays.
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(pair, 1, constant_values=np.inf), 3)
+        extra = 1 + np.flatnonzero(np.isfinite(pair) & (near.argmin(axis=1) == 1))
+        if not extra.size:
+            whole = np.round(2 * intervals / (before + after))
+            several = (intervals > LONGER * np.maximum(before, after)) & (whole <= 1 + most)
+            steps = np.where(several, whole, 1).astype(np.intp)
+            return times, np.append(0, np.cumsum(steps))
+        times = np.delete(times, extra)
+    return times, np.arange(times.size)
+
+
+def _medians_beside(intervals: FloatArray, per_turn: int) -> FloatArray:
+    """Medians of those of the same mark in NEIGHBOURS turns before and after each of the *intervals* (n,)
+    [s], (2, n); NaN of fewer than two.
+    """
+    steps = per_turn * np.arange(1, NEIGHBOURS + 1)
+    places = np.arange(intervals.size) + steps[-1] + np.array([-steps, steps])[..., None]
+    turns = np.pad(intervals, steps[-1], constant_values=np.nan)[places]
+    few = np.sum(np.isfinite(turns), axis=1) < 2
+    medians = np.nanmedian(np.where(few[:, None], 0.0, turns), axis=1)
+    return np.where(few, np.nan, medians)
+
+
+def _revolutions(times: FloatArray, counts: IntArray, per_turn: int) -> FloatArray:
+    """Revolutions (n,) [1] at *times* (n,) [s] by the *counts* (n,) of marks, *per_turn* in one: evenly, but
+    where these are not even at the median place that all turns show between the pulses of the first.
+    """
+    turns, mark = counts / per_turn, counts % per_turn
+    first = mark == 0
+    if per_turn == 1 or np.sum(first) < FEWEST_TURNS:
+        return turns
+    # A run that finds all fresh loads none of it.
+    import scipy
+
+    course = scipy.interpolate.CubicSpline(times[first], turns[first])
+    within = times < times[first][-1]
+    places, errors = np.zeros((2, per_turn))
+    for number in range(1, per_turn):
+        off = (course(times) - turns)[within & (mark == number)]
+        places[number] = np.median(off)
+        errors[number] = np.median(np.abs(off - places[number])) / np.sqrt(off.size)
+    uneven = np.any(np.abs(places) > UNEVEN * errors)
+    return turns + places[mark] * uneven
 
 
 def _irregularity(times: FloatArray) -> float:

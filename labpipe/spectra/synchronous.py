@@ -51,7 +51,7 @@ class WithoutSynchronous(DerivedRecording):
             for channel, amplitudes in zip(self.channels, self.amplitude.T, strict=True)
             if is_cleaned(channel)
         ]
-        return (*self.source.findings, *removed)
+        return (*self.source.findings, *self.motion.findings, *removed)
 
     def blocks(self, n_sample: int) -> Iterator[FloatArray]:
         """Consecutive blocks of at most *n_sample* samples, (n, n_channel) [SI]: x - Re sum_h X_h exp(j h
@@ -240,8 +240,12 @@ def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
     allowed = PULSE_ERROR / sample_rate * float(np.mean(motion.speeds))
     for degree in range(1, min(MOST_DEGREES, times.size - 2) + 1):
         course = np.polynomial.Chebyshev.fit(times, counts, degree)
-        if np.sqrt(np.mean((course(times) - counts) ** 2)) <= allowed:
-            return ShaftMotion(times, course(times))
+        scatter = np.sqrt(np.mean((course(times) - counts) ** 2))
+        if scatter <= allowed:
+            place = np.polynomial.polyutils.mapdomain(times, course.domain, course.window)
+            basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, degree))[0]
+            error = scatter * np.linalg.norm(basis, axis=1)
+            return replace(motion, revolutions=course(times), std_error=error)
     return motion
 
 
@@ -343,10 +347,10 @@ def without_shaft(
     """The recordings, each without its synchronous part where `remove` is given, and the settings without the
     lines that it falls on, or that `mask` leaves out.
     """
-    remove, masked = settings.remove, masked_bands(sources, settings)
+    remove, (masked, of_tacho) = settings.remove, masked_bands(sources, settings)
     settings = replace(settings, exclude=(*settings.exclude, *masked))
     if remove is None:
-        return list(sources), settings, mask_findings(masked, settings.band)
+        return list(sources), settings, (*mask_findings(masked, settings.band), *of_tacho)
     resting = [at_rest(source, remove) for source in sources]
     findings = [
         note(
@@ -369,7 +373,7 @@ def without_shaft(
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
     settings = replace(settings, exclude=(*settings.exclude, *bands))
-    return cleaned, settings, (*mask_findings(masked, settings.band), *findings)
+    return cleaned, settings, (*mask_findings(masked, settings.band), *of_tacho, *findings)
 
 
 def lines_of_shaft(

@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 from scipy import special
 
-from labpipe.estimation.coefficient_error import LARGER, LENGTHS, PRIOR, USUAL, coefficient_error
+from labpipe.estimation.coefficient_error import (
+    LARGER,
+    LENGTHS,
+    PRIOR,
+    USUAL,
+    CoefficientError,
+    coefficient_error,
+)
 from labpipe.estimation.discrepancy import AMPLITUDES, SOUND, matern
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.linear_models import sdof
 from labpipe.estimation.model import Setup
 from labpipe.estimation.settings import FitSettings, Support
+from labpipe.estimation.statistics import derive
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
 from tests.estimation.conftest import with_noise
@@ -212,6 +220,18 @@ def test_sound_matrices_keep_their_intervals() -> None:
         rng = np.random.default_rng(100 + seed)
         (fit,) = identify(response(receptance(), rng), FitSettings("mdof"))
         assert all(p.interval.discrepancy == 0 and not p.reason for p in fit.parameters)
+
+
+def test_an_interval_does_not_end_at_its_value() -> None:
+    """The average lies 5 of its errors away: the interval holds that of noise about the value as well."""
+    error = CoefficientError(np.array([105.0]), np.array([[1.0]]), np.array([[0.25]]))
+    (stated,) = error.state(
+        (derive("k", "N/m", 100.0, 0.5, 1000),),
+        lambda values, covariance: (derive("k", "N/m", values[0], covariance[0, 0] ** 0.5, 1000),),
+    )
+    low, high = stated.ci95
+    assert stated.value == 100.0 and low == pytest.approx(100 - 1.96 * 0.5, abs=1e-3)
+    assert high == pytest.approx(105 + 1.96, abs=0.01)
 
 
 @pytest.mark.long

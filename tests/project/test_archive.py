@@ -559,6 +559,25 @@ def test_what_is_asked_for_wrongly(
     assert ended.code == 2 and said in ended.err and not (lab / "a.zip").exists()
 
 
+def test_a_watch_s_results_are_not_archived(lab: Path, labpipe: Command) -> None:
+    """Their numbers lie in parts of a dataset that no run makes again, wherever the recordings are."""
+    (lab / "data").mkdir()
+    (lab / "data" / "soft.csv").write_text((lab / "soft.csv").read_text())
+    text = (lab / "pipeline.yaml").read_text()
+    for number, each in enumerate(("data/*.csv", "*.nowhere")):
+        tests = f'tests:\n  - {{each: "{each}", pattern: "{{name}}"}}\n'
+        kept = [part for part in text.split("\n") if part.startswith(("rig", "frf", "  direct", "identify"))]
+        (lab / f"bench{number}.yaml").write_text(tests + "\n".join(kept) + "\n")
+        out = lab / f"watched{number}"
+        ended = labpipe(
+            "watch", lab / "data", "-c", lab / f"bench{number}.yaml", "-o", out, "--once", "--settle", "0"
+        )
+        assert ended.code == 0, ended
+        ended = labpipe("archive", out, "-o", lab / "w.zip", "-c", lab / f"bench{number}.yaml")
+        assert ended.code == 2 and "is of a watch" in ended.err and "run `labpipe run` over" in ended.err
+        assert not (lab / "w.zip").exists()
+
+
 def test_a_file_that_changes_meanwhile_leaves_no_archive(
     lab: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -125,6 +125,16 @@ def test_another_raw_file_is_named(lab: Path, labpipe: Command) -> None:
     assert ended.code == 0 and "'soft.csv' is not there to be compared" in ended.out
 
 
+def test_a_rig_file_that_changed_since_is_named(lab: Path, labpipe: Command) -> None:
+    """The mass of the rig is that of the fits; the result holds what it was made with."""
+    before = labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml")
+    assert before.code == 0 and "something else" not in before.out
+    edited(lab / "rig.yaml", "mass: ", "mass: 1")
+    ended = labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml")
+    assert ended.code == 0
+    assert "pipeline.yaml: says something else under 'identify' than the result in" in ended.out
+
+
 def test_the_numbers_are_found_again_by_running(lab: Path, labpipe: Command) -> None:
     assert labpipe("verify", lab / "out", "-c", lab / "pipeline.yaml", "--again").code == 0
     ended = labpipe(

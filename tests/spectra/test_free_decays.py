@@ -191,6 +191,8 @@ def test_settings_without_a_meaning_are_refused(change: dict[str, object], messa
 def test_free_decays_give_no_frf() -> None:
     with pytest.raises(ConfigError, match="excitation decay gives no FRF"):
         measure([recorded(struck((0.5,), 4.0))], SETTINGS)
+    with pytest.raises(ConfigError, match="`result: spectra` gives no FRF; channel_spectra makes them"):
+        measure([recorded(struck((0.5,), 4.0))], FrfSettings("periodic", period=1.0, result="spectra"))
 
 
 def test_a_drifting_rest_position_is_no_response() -> None:

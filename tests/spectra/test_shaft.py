@@ -7,6 +7,7 @@ import pytest
 
 from labpipe.errors import ConfigError, DataError
 from labpipe.records.recording import Channel, Recording
+from labpipe.spectra import shaft
 from labpipe.spectra.settings import MaskSettings, ShaftLines
 from labpipe.spectra.shaft import ShaftMotion, at_rest, shaft_motion, steady, tacho_pulses
 
@@ -123,3 +124,64 @@ def test_counts_and_widths_are_checked() -> None:
         ShaftLines(speed=50.0, harmonics=0)
     with pytest.raises(ConfigError, match="width must not be negative"):
         MaskSettings(speed=50.0, width=-1.0)
+
+
+def run_up_instants(marks: np.ndarray, turns: int) -> np.ndarray:
+    """When phi = 5 t + t^2 revolutions passes the *marks* of every turn."""
+    places = (np.arange(turns)[:, None] + marks).ravel()
+    return (np.sqrt(25 + 4 * places) - 5) / 2
+
+
+MARKS = np.array([0.0, 0.13, 0.245, 0.38, 0.49, 0.62, 0.755, 0.87])
+
+
+@pytest.mark.parametrize(
+    ("marks", "missing", "extra"),
+    [
+        (MARKS[:1], [40], []),
+        (MARKS[:1], [40, 41, 70], []),
+        (MARKS[:1], [], [40.5, 77.02]),
+        (MARKS[:1], [90], [20.03, 20.06, 60.4]),
+        (MARKS, [], []),
+        (MARKS, [301], []),
+        (np.array([0.0, 0.3]), [], []),
+        (MARKS, [*range(320, 328), 400], [12.31]),
+    ],
+)
+def test_faults_of_a_tacho_are_told_by_the_pulses_beside_them(
+    monkeypatch: pytest.MonkeyPatch, marks: np.ndarray, missing: list[int], extra: list[float]
+) -> None:
+    """phi = 5 t + t^2 in closed form, by pulses of which some are missing and others are too many."""
+    instants = np.delete(run_up_instants(marks, 100), missing)
+    instants = np.sort(
+        np.append(instants, run_up_instants(np.zeros(1), 1) + (np.sqrt(25 + 4 * np.array(extra)) - 5) / 2)
+    )
+    monkeypatch.setattr(shaft, "tacho_pulses", lambda *_: instants)
+    motion = shaft_motion(pulse_train(np.arange(9.0)), ShaftLines(tacho="tacho", pulses=marks.size))
+    time = np.linspace(0.1, instants[-1], 2000)
+    # Straight lines over two missing turns are dt^2 / 4 off, dt of three turns .22 s at most.
+    late = motion.angle(time) / (2 * np.pi) - (5 * time + time**2)
+    assert np.max(np.abs(late)) < 0.014
+    message = "".join(finding.message for finding in motion.findings)
+    told = f"{len(missing)} of {100 * marks.size} pulses are missing, {len(extra)} are too many"
+    assert (told in message) if missing or extra else not message
+
+
+def test_more_faults_than_neighbours_can_tell_are_refused(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    instants = run_up_instants(np.zeros(1), 400)
+    kept = np.delete(instants, 5 + np.flatnonzero(rng.random(390) < 0.2))
+    monkeypatch.setattr(shaft, "tacho_pulses", lambda *_: kept)
+    with pytest.raises(DataError, match=r"pulses are missing, . are too many, more than neighbours can tell"):
+        shaft_motion(pulse_train(np.arange(9.0)), ShaftLines(tacho="tacho"))
+
+
+@pytest.mark.parametrize("count", [np.sqrt, lambda n: 20 - np.sqrt(400 - n), lambda n: 1 - np.exp(-n / 40)])
+def test_a_speed_that_only_rises_or_falls_has_no_fault(monkeypatch: pytest.MonkeyPatch, count) -> None:
+    """From rest under a constant torque, to rest, and a run that becomes infinitely fast."""
+    instants = count(np.arange(1.0, 200.0))
+    monkeypatch.setattr(shaft, "tacho_pulses", lambda *_: instants)
+    motion = shaft_motion(pulse_train(np.arange(9.0)), ShaftLines(tacho="tacho"))
+    np.testing.assert_array_equal(motion.revolutions, np.arange(199.0))
+    assert not motion.findings

@@ -19,11 +19,13 @@ from labpipe.methods.balancing.influence import (
     Places,
     ReadingNoise,
     RemainingVibration,
+    WeightInterval,
     best_weights,
     influence,
     next_runs,
     placed_weights,
     residual_of,
+    weight_intervals,
 )
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
@@ -32,6 +34,8 @@ from labpipe.records.settings import Settings, parse_phasor, quantity, setting, 
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
+# Share of itself that no reading and no weight is uncertain by: a per cent sign is missing.
+MOST_SHARE = 0.5
 # Chance below which the readings contradict the stated noise.
 UNLIKELY = 0.01
 # Weights by plane and readings by line of a run.
@@ -66,6 +70,9 @@ class BalanceSettings(Settings):
     def __post_init__(self) -> None:
         self.require_positive("mass", "speed", "grade")
         self.require_not_negative("repeatability", "weight_uncertainty")
+        for name in ("repeatability", "weight_uncertainty"):
+            if getattr(self, name) >= MOST_SHARE:
+                raise SettingError(name, f"'{name}' is {100 * getattr(self, name):g} % of the size", "1 %")
         of_grade = {"mass": self.mass, "speed": self.speed, "grade": self.grade}
         missing = [name for name, value in of_grade.items() if value is None]
         if missing and len(missing) < len(of_grade):
@@ -279,7 +286,8 @@ def _si_of(text: str) -> str:
 class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
-    *widened*: factor on all errors, since the readings scatter more than was stated.
+    *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
+    weights that would leave nothing, none where readings are fewer than planes.
     """
 
     file: BalanceFile
@@ -289,6 +297,7 @@ class Balanced:
     residual: RemainingVibration
     next_runs: dict[str, float]
     widened: float = 1.0
+    intervals: tuple[WeightInterval, ...] = ()
 
     @property
     def permissible(self) -> float | None:
@@ -321,7 +330,8 @@ def balance(file: BalanceFile) -> Balanced:
     candidates = dict(zip(names, [*(trial * np.eye(len(file.planes), dtype=complex)), weights], strict=True))
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened)
+    intervals = weight_intervals(knowledge, weights)
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals)
 
 
 def _choose_weights(
@@ -350,6 +360,10 @@ def _places(name: str, plane: PlaneSettings) -> Places:
 def balance_entry(result: Balanced) -> dict[str, Any]:
     """The result as `labpipe balance --json` writes it, SI units, angles in rad."""
     residual, file = result.residual, result.file
+    intervals = [
+        {"size_ci95": list(of.size), "angle_ci95": None if of.angle is None else list(of.angle)}
+        for of in result.intervals
+    ]
     by_line = zip(file.lines, residual.amplitudes, residual.low, residual.high, strict=True)
     return {
         "schema": "labpipe/balance/1",
@@ -361,8 +375,11 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
                 "unit": "kg.m",
                 "angle": float(np.angle(weight) % (2 * np.pi)),
                 "masses": [{"angle": angle, "mass": mass} for angle, mass in result.masses.get(name, ())],
+                **interval,
             }
-            for name, weight in zip(file.planes, result.weights, strict=True)
+            for name, weight, interval in zip(
+                file.planes, result.weights, intervals or [{}] * len(file.planes), strict=True
+            )
         ],
         "residual": {
             "rms": residual.rms,

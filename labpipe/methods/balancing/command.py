@@ -40,6 +40,19 @@ def balance(balance_path: Path, json_path: Path | None, overrides: tuple[str, ..
             path.write_text(json.dumps(balance_entry(result), indent=1) + "\n", encoding="utf-8")
 
 
+def _weight(result: Balanced, plane: int) -> str:
+    """A weight with the 95 % interval of that which would leave nothing."""
+    import numpy as np
+
+    weight, degrees = result.weights[plane], np.degrees
+    text = f"{1e6 * abs(weight):.4g} g mm at {degrees(np.angle(weight)) % 360:.1f} deg"
+    if not result.intervals:
+        return text
+    size, angle = result.intervals[plane].size, result.intervals[plane].angle
+    to = "any angle" if angle is None else " to ".join(f"{degrees(end) % 360:.1f}" for end in angle) + " deg"
+    return f"{text} (95 %: {1e6 * size[0]:.4g} to {1e6 * size[1]:.4g} g mm, {to})"
+
+
 def sentences(result: Balanced) -> Iterator[str]:
     import numpy as np
 
@@ -53,9 +66,8 @@ def sentences(result: Balanced) -> Iterator[str]:
         shown = " to ".join(number(to_display(value, unit), 3) for value in values)
         return f"{shown} {unit_label(unit)}".rstrip()
 
-    for name, weight in zip(file.planes, result.weights, strict=True):
-        angle = np.degrees(np.angle(weight)) % 360
-        yield f"plane {name}: {1e6 * abs(weight):.4g} g mm at {angle:.1f} deg"
+    for plane, name in enumerate(file.planes):
+        yield f"plane {name}: {_weight(result, plane)}"
         for place, mass in result.masses.get(name, ()):
             yield f"  {1e3 * mass:.3g} g at {np.degrees(place) % 360:.1f} deg"
     low, high = residual.interval
@@ -69,10 +81,10 @@ def sentences(result: Balanced) -> Iterator[str]:
         yield f"  {name}: {text(middle)} (95 %: {text(low, high)})"
     if result.permissible is not None:
         most = float(np.sum(residual.unbalance))
-        word = "within" if most <= result.permissible else "beyond"
+        word, asked = "within" if most <= result.permissible else "beyond", 1e3 * (file.settings.grade or 0)
         yield (
             f"unbalance that is left: at most {1e6 * most:.3g} g mm (95 %), {word} the permissible "
-            f"{1e6 * result.permissible:.3g} g mm of G {1e3 * (file.settings.grade or 0):g}"
+            f"{1e6 * result.permissible:.3g} g mm of G {asked:g} (G {asked * most / result.permissible:.2g})"
         )
     if result.widened > 1:
         yield (

@@ -7,7 +7,7 @@ z_0 and alpha is a prior and runs are data: the model alone, runs alone and both
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -23,9 +23,10 @@ DRAWS, SEED = 4000, 20261125
 # Truths over which one more run is looked at.
 TRIED = 200
 COVERED = (2.5, 97.5)
-# Rounds of reweighting, degrees of freedom and width of the draws about their result; the 95 % quantile of
-# chi-square of one number.
-REWEIGHTED, TAILS, WIDER, PROFILE = 10, 4, 2.0, 3.841
+# Rounds of reweighting, and the 95 % quantile of chi-square of one number.
+REWEIGHTED, PROFILE = 10, 3.841
+# Directions and steps of a profile, and its end in standard deviations of both parts of a weight together.
+DIRECTIONS, STEPS, FARTHEST = 48, 201, 4.0
 # Rounds of least squares in which errors of the weights are weighed.
 ROUNDS = 4
 
@@ -330,11 +331,23 @@ def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
 def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float = 0.0) -> FloatArray:
     """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m] set to a *share* of
     themselves [1], by runs alone and more lines than planes: those of the 95 % profile interval of the
-    unbalance u in the planes, by draws about it.
+    unbalance u in the planes.
 
     -ln p(u) = r^H V^-1 r, r = z_0 - alpha u over the lines, V(u) its covariance, larger by what no u
     explains. Draws of alpha would tell u too well where planes act nearly alike, since noise makes their
     small difference larger. Equation (balance-unbalance).
+    """
+    # What is left of the interval for each u, the error of setting its weights may take.
+    ends = [
+        np.max(np.abs(made + weight) + share * abs(weight) * np.sqrt(room / 2))
+        for weight, (made, room) in zip(weights, _profiles(knowledge), strict=True)
+    ]
+    return np.array(ends)
+
+
+def _profiles(knowledge: Influence) -> Iterator[tuple[ComplexArray, FloatArray]]:
+    """Of every plane the unbalances u_q (n,) [kg m] of its 95 % profile interval to all directions, and what
+    each leaves of it (n,) [1].
     """
     z, alpha = knowledge.mean[:, 0], knowledge.mean[:, 1:]
     n_line, n_plane = alpha.shape
@@ -343,20 +356,47 @@ def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float = 0
         rows = np.linalg.solve(root, alpha)
         middle = np.linalg.lstsq(rows, np.linalg.solve(root, z), rcond=None)[0]
         root = np.linalg.cholesky(knowledge.covariance_with(np.concatenate([[1.0], -middle])))
-    rng = np.random.default_rng(SEED + 4)
-    normal = rng.standard_normal((2, DRAWS, n_plane)) / np.sqrt(rng.chisquare(TAILS, (DRAWS, 1)) / TAILS)
-    spread = np.linalg.inv(np.linalg.cholesky(rows.conj().T @ rows)).conj()
-    made = np.vstack([middle, middle + WIDER / np.sqrt(2) * (normal[0] + 1j * normal[1]) @ spread])
-    whole = np.column_stack([np.ones(len(made)), -made])
-    left = whole @ knowledge.mean.T
-    weighed = np.linalg.solve(knowledge.covariance_with(whole), left[..., None])[..., 0]
-    square = np.sum(left.conj() * weighed, axis=1).real
-    least = float(np.min(square))
-    # What is left of the interval for each u, the error of setting its weights may take.
-    room = PROFILE * max(1.0, least / (n_line - n_plane)) - 2 * (square - least)
-    likely = room >= 0
-    reach = share * np.abs(weights) * np.sqrt(room[likely, None] / 2)
-    return np.asarray(np.max(np.abs(made[likely] + weights) + reach, axis=0))
+    spread = np.linalg.inv(rows.conj().T @ rows)
+    turns = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+    steps = (np.linspace(0.0, FARTHEST, STEPS)[:, None] * turns).reshape(-1, 1)
+    for plane in range(n_plane):
+        made = middle + steps * (spread[:, plane] / np.sqrt(spread[plane, plane].real))
+        whole = np.column_stack([np.ones(len(made)), -made])
+        left = whole @ knowledge.mean.T
+        weighed = np.linalg.solve(knowledge.covariance_with(whole), left[..., None])[..., 0]
+        square = np.sum(left.conj() * weighed, axis=1).real
+        least = float(np.min(square))
+        room = PROFILE * max(1.0, least / max(n_line - n_plane, 1)) - 2 * (square - least)
+        yield made[room >= 0, plane], room[room >= 0]
+
+
+@dataclass(frozen=True)
+class WeightInterval:
+    """95 % interval of a weight that leaves nothing: *size* [kg m] and *angle* [rad], None where it
+    may be any.
+    """
+
+    size: tuple[float, float]
+    angle: tuple[float, float] | None
+
+
+def weight_intervals(knowledge: Influence, weights: ComplexArray) -> tuple[WeightInterval, ...]:
+    """Of the weight in every plane, angles about those of *weights* (n_plane,) [kg m]; by a model from draws
+    of what it knows, whose covariance has no inverse. None for fewer lines than planes.
+    """
+    if len(knowledge.mean) < weights.size:
+        return ()
+    every = [made for made, _ in _profiles(knowledge)] if not knowledge.modelled else []
+    every = every or list(_made_by_planes(knowledge.draws(DRAWS // 10)).T)
+    # Of a profile the ends themselves.
+    covered = COVERED if knowledge.modelled else (0.0, 100.0)
+    intervals: list[WeightInterval] = []
+    for weight, made in zip(weights, every, strict=True):
+        low, high = np.percentile(np.abs(made), covered).tolist()
+        turned = np.percentile(np.angle(-made / weight), covered)
+        first, last = (float(np.angle(weight) % (2 * np.pi)) + turned).tolist()
+        intervals.append(WeightInterval((low, high), None if last - first > np.pi else (first, last)))
+    return tuple(intervals)
 
 
 def _drawn_residual(knowledge: Influence, drawn: ComplexArray, whole: ComplexArray) -> ComplexArray:

@@ -35,8 +35,9 @@ MOST_ABOVE = 0.26
 # is that of a steady rotor.
 STEADY = 0.2
 # Of one mode (AF 5 to 40) run up and down to that limit: what is left of the delay of its peak, as a share of
-# it, and what its half-power width changes by, as a share of that quotient. Standard uncertainties.
-LATE, WIDER = 0.1, 0.2
+# it, and what its half-power width changes by, as a share of that quotient, and its amplitude, as one of its
+# square. Standard uncertainties.
+LATE, WIDER, LOWER = 0.1, 0.2, 0.3
 # Times that a mode is fitted and that what its readings are behind is found anew.
 PASSES = 4
 
@@ -352,6 +353,9 @@ def _fit_one_mode(
     for _ in range(PASSES):
         curve = turned * fit(middle + behind, place)
         steady = _peak(fine, np.abs(curve), 0, POINTS - 1) or steady
+        if steady.low == steady.high is not None:
+            # What the readings are behind has run away.
+            return None
         if steady.amplification is not None:
             behind = np.interp(x, place, _lag(curve, fine, rate, steady))
     middle = middle + behind
@@ -418,7 +422,8 @@ def _steady_peak(
             None if end is None else speed + (end - one.speed) * (1 + wider * rate / width**2)
             for end in (one.low, one.high)
         ]
-        moved.append(replace(one, speed=speed, low=ends[0], high=ends[1]))
+        amplitude = one.amplitude * (1 + LOWER / WIDER * wider * (rate / width**2) ** 2)
+        moved.append(replace(one, speed=speed, amplitude=amplitude, low=ends[0], high=ends[1]))
     return moved[0], moved[1:]
 
 

@@ -213,6 +213,7 @@ def run_up_of(
         phase_error=deviation / size,
         unbalance=dict(unbalance),
         uncertainties=tuple(_probe_errors(track)),
+        findings=track.findings,
     )
 
 

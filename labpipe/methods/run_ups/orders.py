@@ -299,7 +299,8 @@ def write_run_up(table: RunUp, path: Path) -> str:
 
 
 def order_lines(run: TrackedRun) -> Iterator[str]:
-    """The largest amplitudes, and orbits against the gap."""
+    """What is wrong with the tacho, the largest amplitudes, and orbits against the gap."""
+    yield from (f"warning {finding.code}: {finding.message}" for finding in run.track.findings)
     unit, factor = _unit(run.quantity)
     for track in (run.track, *run.circles):
         for number, port in enumerate(track.ports):

@@ -50,7 +50,7 @@ class RunUp:
     like response: standard errors. unbalance [kg m] by plane, complex with its angle from x at time zero;
     shaker: what excited the rotor instead; threshold [rad/s]: of instability, where it was measured.
     uncertainties: of the probes' calibration; baseline: the run that was subtracted, at its own speeds, whose
-    noise all runs less it have in common. DataError where these do not fit together.
+    noise all runs less it have in common; findings: on the tacho. DataError where these do not fit together.
     """
 
     name: str
@@ -66,6 +66,7 @@ class RunUp:
     threshold: Uncertain | None = None
     uncertainties: tuple[ProbeError, ...] = ()
     baseline: RunUp | None = None
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         n, shape = np.size(self.speed), (np.size(self.speed), len(self.planes), 2)

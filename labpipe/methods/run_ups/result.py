@@ -181,6 +181,13 @@ def _with_findings(
             for item in read
             if item.settings.subtract
         ),
+        *(
+            finding
+            for item in read
+            for run in (item.run.baseline, item.run)
+            if run
+            for finding in run.findings
+        ),
         *_advice(result),
     ]
     return replace(result, findings=tuple(findings))

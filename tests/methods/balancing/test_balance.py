@@ -22,6 +22,7 @@ from labpipe.methods.balancing.influence import (
     next_runs,
     placed_weights,
     residual_of,
+    weight_intervals,
 )
 
 EXAMPLE = Path(__file__).parents[3] / "configs/balance/two-planes.yaml"
@@ -104,6 +105,73 @@ def test_one_plane_is_the_vector_triangle():
     ]
     known = influence(runs, ReadingNoise(1e-9, 1e-9))
     np.testing.assert_allclose(best_weights(known.square), [-z_0 * trial / (z_1 - z_0)], rtol=1e-9)
+
+
+def test_the_interval_of_one_plane_s_weight_is_that_of_the_vector_triangle():
+    """dw / w = (e_0 - e_1) z_1 / (z_1 - z_0) of readings that repeat to E|e|^2 = s^2: size and angle to
+    1.96 s |z_1 / (z_1 - z_0)| each.
+    """
+    z_0, z_1, trial, share = at(7.2, 238), at(4.9, 114), at(20.5, 75), 1e-3
+    runs = [
+        BalanceRun("0", np.array([0j]), np.array([z_0])),
+        BalanceRun("1", np.array([trial]), np.array([z_1])),
+    ]
+    known = influence(runs, ReadingNoise(0.0, share))
+    weights = best_weights(known.square)
+    (interval,) = weight_intervals(known, weights)
+    half = 1.96 * share * abs(z_1 / (z_1 - z_0))
+    ends = np.array([1 - half, 1 + half])
+    np.testing.assert_allclose(np.array(interval.size) / abs(weights[0]), ends, atol=0.03 * half)
+    turned = np.array(interval.angle) - np.angle(weights[0]) % (2 * np.pi)
+    np.testing.assert_allclose(turned, [-half, half], rtol=0.03)
+
+
+@pytest.mark.parametrize(("n_line", "share"), [(2, 0.05), (4, 0.03)])
+def test_intervals_of_weights_hold(n_line, share):
+    """100 rigs of two planes, influences and unbalances drawn, no run to spare: 200 sizes and angles."""
+    rng = np.random.default_rng(20261130)
+    holds, any_angle = [], 0
+    for _ in range(100):
+        alpha, unbalance = rng.standard_normal((2, n_line, 2)), rng.standard_normal((2, 2))
+        alpha, right = alpha[0] + 1j * alpha[1], -(unbalance[0] + 1j * unbalance[1])
+        runs = []
+        for added in np.vstack([np.zeros(2), np.eye(2)]):
+            z = alpha @ (added - right)
+            noise = rng.standard_normal((2, n_line)) * np.abs(z) * share / np.sqrt(2)
+            runs.append(BalanceRun("", added.astype(complex), z + noise[0] + 1j * noise[1]))
+        known = influence(runs, ReadingNoise(0.0, share))
+        for true, weight, of in zip(
+            right,
+            best_weights(known.square),
+            weight_intervals(known, best_weights(known.square)),
+            strict=True,
+        ):
+            holds.append(of.size[0] <= abs(true) <= of.size[1])
+            any_angle += of.angle is None
+            middle = np.angle(weight) % (2 * np.pi)
+            low, high = of.angle or (middle - np.pi, middle + np.pi)
+            holds.append(low <= middle + np.angle(true / weight) <= high)
+    # Four deviations of 400 numbers of which 95 % hold, and of pairs that go together.
+    assert 0.90 <= np.mean(holds) <= 0.99 and any_angle < 20
+
+
+def test_by_a_model_intervals_are_those_of_its_draws():
+    """Three readings whose covariance has rank two: z_0 known to 1 %, alpha exactly, so that the weight is
+    known to 1.96 * 1 % in size, in each direction.
+    """
+    alpha, size = np.array([1.0, 1j, -1.0]), 1e-3
+    mean = np.stack([size * alpha, alpha], axis=1)
+    root = np.zeros((2, 3, 2, 2))
+    root[0, :, 0, 0], root[1, :, 0, 0] = 0.01 * size * alpha.real, 0.01 * size * alpha.imag
+    root[0, :, 0, 1], root[1, :, 0, 1] = -0.01 * size * alpha.imag, 0.01 * size * alpha.real
+    known = Influence(mean, root.reshape(12, 2) @ root.reshape(12, 2).T, modelled=True)
+    weights = best_weights(known.square)
+    (interval,) = weight_intervals(known, weights)
+    # Of 400 draws, whose percentiles scatter by a tenth.
+    ends = np.array(interval.size) / size - 1
+    np.testing.assert_allclose(ends, [-0.0196, 0.0196], rtol=0.25)
+    turned = np.array(interval.angle) - np.angle(weights[0]) % (2 * np.pi)
+    np.testing.assert_allclose(turned, [-0.0196, 0.0196], rtol=0.25)
 
 
 def test_an_influence_that_is_hardly_known_is_not_trusted():
@@ -386,6 +454,7 @@ def test_what_is_left_lies_in_its_interval(n_line, n_plane, share):
         ({"planes": ["left"]}, "runs.3.weights.right: there is no such plane; planes: left"),
         ({"runs": "none"}, "runs: a list of runs is needed"),
         ({"repeatability": "1 mm"}, "repeatability: "),
+        ({"repeatability": "1"}, "'repeatability' is 100 % of the size; 1 %"),
         ({"noise": "1 mm/s"}, "noise: "),
         ({"grade": "2.5"}, "grade: '2.5' has no unit"),
         ({"speeed": "50 Hz"}, "speeed: unknown key; did you mean 'speed'?"),

@@ -137,6 +137,17 @@ def test_effective_forces_as_derived_channels_give_the_same(recorded: Path, tmp_
         ),
         ("compare: true", "form: kcc", "unknown choice 'kcc'; did you mean 'kc'?"),
         ("baseline: hoses,", "baseline: hoses, test: dry,", "no test is left for it"),
+        # One message for one typing error: a key of the model beside those of all fits, and the model itself.
+        (
+            "stator_mass: 60 kg +- 0.6 kg}\nreport",
+            "stator_mas: 60 kg}\nreport",
+            "stator_mas: unknown key; did you mean 'stator_mass'?",
+        ),
+        (
+            "seal: {model: dynamic-stiffness",
+            "seal: {model: dynamic-stifness",
+            "stifness'; did you mean 'dynamic-stiffness'?",
+        ),
         ("stator_mass: 60 kg +- 0.6 kg}\nreport", "stator_mass: 60 mm}\nreport", "stator_mass"),
     ],
 )
@@ -148,6 +159,8 @@ def test_what_is_wrong_is_said_where_it_is(
     (recorded / "wrong.yaml").write_text(text)
     ended = labpipe("run", recorded / "wrong.yaml", "-o", tmp_path)
     assert ended.code == 2 and message in ended.err.replace("+- 0.6 kg", ""), ended.err
+    # Both fits need spectra.
+    assert ended.err.count("error:") == (2 if "spectra" in old else 1)
 
 
 def test_the_report_of_a_matrix_keeps_the_baseline(recorded: Path, tmp_path: Path, labpipe) -> None:

@@ -102,6 +102,16 @@ def test_noise_at_the_order_counts_where_it_is_more_than_elsewhere(late: bool) -
     assert 0.85 < scatter < (1.6 if late else 1.15)
 
 
+def test_pulses_known_to_a_sample_do_not_turn_the_readings() -> None:
+    """Readings without noise by a tacho without edges in between: a sample is 7 deg of a turn at 40 Hz."""
+    track = track_order(sweep(), LINES)
+    turned = np.degrees(np.angle(track.amplitude / np.array([X, Y])))
+    stated = np.degrees(np.sqrt(track.variance) / np.abs(track.amplitude))
+    # All pulses err by half a sample towards early or late; what they have in common is no scatter.
+    assert np.std(turned, axis=0) == pytest.approx(0.0, abs=0.1)
+    assert np.all(np.abs(turned) < 3 * stated)
+
+
 def test_a_steady_recording_is_no_run_up() -> None:
     time = np.arange(20_000) / RATE
     turn = np.exp(2j * np.pi * 25 * time)
