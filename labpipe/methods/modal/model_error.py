@@ -9,13 +9,12 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
-from labpipe.estimation.statistics import correlation, derive, widen
+from labpipe.estimation.statistics import correlation, derive, widen, without_intervals
 from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate

@@ -13,11 +13,17 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
-from labpipe.estimation.statistics import appraise, correlation, derive, restate, student_limit
+from labpipe.estimation.statistics import (
+    appraise,
+    correlation,
+    derive,
+    restate,
+    student_limit,
+    without_intervals,
+)
 from labpipe.methods.ring_down import amplitude_law, likelihood, repeats
 from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
