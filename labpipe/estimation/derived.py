@@ -320,7 +320,7 @@ def reported_parameters(
         if not end or (is_corrected(settings) and COEFFICIENT_UNITS[name[0]] in DIVIDED)
     ]
     parameters = (*coefficients, *derived, *given)
-    return parameters if estimate.converged else statistics.without_intervals(parameters)
+    return parameters if estimate.converged else tuple(p.without_interval for p in parameters)
 
 
 def _add_given(

@@ -104,7 +104,7 @@ def restate(
     """
     same_sign = not ci95[0] < 0 < ci95[1] or not math.isfinite(error)
     if same_sign and max(map(abs, ci95)) > BOUNDLESS * abs(value):
-        (bare,) = without_intervals([replace(parameter, value=value, **others)])
+        bare = replace(parameter, value=value, **others).without_interval
         why = bare.reason.removeprefix(UNDETERMINED).removeprefix("; ")
         return replace(bare, reason=f"{UNDETERMINED}; {why}".removesuffix("; "))
     return replace(
@@ -116,13 +116,6 @@ def restate(
         significant=None if parameter.significant is None else not ci95[0] <= 0 <= ci95[1],
         **others,
     )
-
-
-def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The values alone."""
-    names = ("std_error", "std_error_inflated", "t_ratio", "ci95", "significant", "interval")
-    empty: dict[str, Any] = dict.fromkeys(names)
-    return tuple(replace(parameter, **empty) for parameter in parameters)
 
 
 def derive(name: str, unit: str, value: float, std_error: float, dof: int) -> Parameter:

@@ -520,8 +520,7 @@ def balance_fit(
         amplification=amplification,
     )
     if not best.converged:
-        plain = statistics.without_intervals(parameters)
-        parameters = [replace(shown, std_error_inflated=None, systematic=None) for shown in plain]
+        parameters = [replace(shown.without_interval, systematic=None) for shown in parameters]
     warnings = estimate_findings(stated, best.model.names, n_line, best.model.units, remedy)
     fit = reported_fit(settings, stated, tuple(parameters), band, n_line)
     return replace(fit, findings=(*warnings, *goodness_findings(gof)))

@@ -14,7 +14,7 @@ from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
-from labpipe.estimation.statistics import correlation, derive, widen, without_intervals
+from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
 from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
@@ -384,7 +384,7 @@ def with_model_errors(
         number = int(parameter.name.rpartition("_")[2])
         pole = poles[number - 1]
         if pole.real >= 0:
-            stated += without_intervals([parameter])
+            stated.append(parameter.without_interval)
         elif number in errors:
             stated += errors[number].state([parameter])
         elif estimate.chi2_reduced is None:
