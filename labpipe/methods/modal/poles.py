@@ -489,20 +489,15 @@ def complete(
             break
         done = min(supported, key=lambda more: criterion(more.refined, more.terms))
         chain.append(done)
-    if adding and (done.p_noise < MISMATCH_P or _at_an_edge(done)):
+    pole, ends = done.refined.poles[-1], terms.lines.omega[[0, -1]]
+    at_edge = done.added > 0 and np.min(np.abs(abs(pole) - ends)) < -2 * pole.real
+    if adding and (at_edge or done.p_noise < MISMATCH_P):
         # A mode that is missing hides one beyond the band, whose flank looks like a mode at its edge.
         searched = (_with_modes_beside(of, correlation) for of in chain[:MOST_MISSING])
         beside = next((of for of in searched if of.p_noise >= MISMATCH_P), first)
         noise = [of for of in (done, beside) if of.p_noise >= MISMATCH_P]
         done = min(noise, key=lambda of: criterion(of.refined, of.terms), default=first)
-    return done if done.p_noise >= MISMATCH_P else first
-
-
-def _at_an_edge(done: Completed) -> bool:
-    """Whether the last of the modes added lies within its half-power width of an end of the band."""
-    lines, pole = done.terms.lines, done.refined.poles[-1]
-    away = np.abs(abs(pole) - lines.omega[[0, -1]])
-    return done.added > 0 and bool(np.min(away) < -2 * pole.real)
+    return done
 
 
 def _with_modes_beside(first: Completed, correlation: tuple[complex, ...]) -> Completed:
