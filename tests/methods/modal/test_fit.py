@@ -273,6 +273,38 @@ def has_modes_alone(fit: Fit, modes: dict[float, float], inside: tuple[float, ..
         assert within(fit, f"f_n_{number}", f_n) and within(fit, f"zeta_{number}", modes[f_n])
 
 
+@pytest.mark.parametrize("burst", [True, False])
+def test_bursts_that_die_away_leak_nothing(burst: bool) -> None:
+    """Force and the exact response of two modes (closed form times the spectrum of the record), in blocks:
+    what leaks of steady random data was looked for in bursts as well, and came as a second mode.
+    """
+    rng, rate, n, number = np.random.default_rng(3), 256.0, 1024, 15
+    force = rng.normal(size=(number + 4, n))
+    if burst:
+        force[:, n // 4 :] = 0.0
+        force[number:] = 0.0
+    w, x = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / rate)[:, None], np.fft.rfft(force.ravel())
+    w_n, ratio, shapes = (
+        2 * np.pi * np.array([38.0, 71.0]),
+        0.01,
+        np.array([[0.9, 0.5], [1.2, -0.8], [0.4, 1.0]]),
+    )
+    h = (-(w**2) / (w_n**2 - w**2 + 2j * ratio * w_n * w)) @ (shapes * shapes[0]).T
+    response = np.fft.irfft(x[:, None] * h, force.size, axis=0)
+    response += 0.01 * response.std(axis=0) * rng.normal(size=response.shape)
+    channels = (
+        Channel("f", "force", "input", "p0"),
+        *(Channel(f"a{point}", "acceleration", "output", f"p{point}") for point in range(3)),
+    )
+    samples = np.column_stack([force.ravel(), response])[: number * n]
+    frf = FrfSettings("random", block="4 s", window="boxcar", overlap="0 %", band="20-90 Hz")
+    measured = measure([Recording(channels, samples, rate, "burst")], frf)
+    fit = modal(measured)
+    assert fit.detail(Modes).frequency.size == 2 and fit.findings == ()
+    assert all(within(fit, f"f_n_{place}", f) for place, f in ((1, 38.0), (2, 71.0)))
+    assert (measured.blocks is None) == burst
+
+
 @pytest.mark.parametrize("named", [(), (162.0,)])
 def test_a_mode_below_the_noise_of_single_lines_is_found_by_means_of_lines(named: tuple[float, ...]) -> None:
     """162 Hz, 1.2 %, at eight points, noise of 0.6 of the peak on each of 561 lines: the closed form's mode
