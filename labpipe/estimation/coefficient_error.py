@@ -9,7 +9,7 @@ every element of the dynamic stiffness (its law, drift), U of a stiffness that m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -101,8 +101,8 @@ class CoefficientError:
         low = min(wide.ci95[0], parameter.value - reach)
         high = max(wide.ci95[1], parameter.value + reach)
         full = max(wide.std_error * (high - low) / (wide.ci95[1] - wide.ci95[0]), noise)
-        stated = with_model_error(parameter, parameter.value, full, (low, high), noise)
-        return replace(stated, reason=self.reason, discrepancy=self.discrepancy)
+        why = {"reason": self.reason, "discrepancy": self.discrepancy}
+        return with_model_error(parameter, parameter.value, full, (low, high), noise, **why)
 
 
 class Misfit(Protocol):

@@ -320,7 +320,7 @@ def reported_parameters(
         if not end or (is_corrected(settings) and COEFFICIENT_UNITS[name[0]] in DIVIDED)
     ]
     parameters = (*coefficients, *derived, *given)
-    return parameters if estimate.converged else without_intervals(parameters)
+    return parameters if estimate.converged else tuple(p.without_interval for p in parameters)
 
 
 def _add_given(
@@ -338,13 +338,6 @@ def _add_given(
         np.concatenate([total.values[places], [value for _, value in given]]),
         covariance,
     )
-
-
-def without_intervals(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The values alone."""
-    names = ("std_error", "std_error_inflated", "t_ratio", "ci95", "significant", "interval")
-    empty: dict[str, Any] = dict.fromkeys(names)
-    return tuple(replace(parameter, **empty) for parameter in parameters)
 
 
 def widened_parameters(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -125,19 +126,19 @@ class ModelError:
             low, high = centre - down, centre + up
             noise = max(noise, parameter.std_error, of_frf)
         full = max((high - low) / (2 * NORMAL), noise)
-        stated = with_model_error(parameter, centre, full, (low, high), noise)
-        return replace(stated, reason=reason, discrepancy=self.discrepancy)
+        why = {"reason": reason, "discrepancy": self.discrepancy}
+        return with_model_error(parameter, centre, full, (low, high), noise, **why)
 
 
 def with_model_error(
-    parameter: Parameter, value: float, error: float, ci95: tuple[float, float], noise: float
+    parameter: Parameter, value: float, error: float, ci95: tuple[float, float], noise: float, **why: Any
 ) -> Parameter:
     """The parameter with a *value*, an *error* and a *ci95* of model error and *noise* [all its unit], of
-    which the latter is std_error.
+    which the latter is std_error, and *why*: its reason and discrepancy.
     """
     parts = IntervalParts(noise, float(np.sqrt(max(error**2 - noise**2, 0.0))))
     fitted = parameter.value
-    return restate(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted)
+    return restate(parameter, value, error, ci95, std_error=noise, interval=parts, fitted=fitted, **why)
 
 
 def shares_by_cause(shares: Mapping[str, float]) -> dict[str, float]:

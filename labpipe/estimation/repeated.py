@@ -240,7 +240,9 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
         else:
             stated.append(parameter)
     if (budget := pooled.budget) is not None:
-        budget = budget.with_random({p.name: p.full_error or 0.0 for p in stated if p.name in means})
+        budget = budget.with_random(
+            {p.name: p.full_error for p in stated if p.name in means and p.full_error}
+        )
         plain = {p.name: p for p in stated}
         wide = {p.name: p for p in with_systematic([plain[name] for name in budget.names], budget)}
         stated = [wide.get(p.name, p) if p.name in means else p for p in stated]
@@ -345,16 +347,21 @@ def _align(
     return replace(aligned, form=response.form, name=response.name)
 
 
-def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, float]:
-    """Shift and half-width by the model error that all repeats share, of the logarithm if *log*."""
-    if common is None or common.fitted is None or common.std_error is None or common.ci95 is None:
-        return 0.0, 0.0
-    size = abs(common.fitted) if log else 1.0
-    shift = (common.value - common.fitted) / size
-    if log and common.value * common.fitted > 0:
-        shift = float(np.log(common.value / common.fitted))
-    reach = (common.ci95[1] - common.ci95[0]) / 2 / size
-    return shift, float(np.sqrt(max(reach**2 - (NORMAL * common.std_error / size) ** 2, 0.0)))
+def _common_part(common: Parameter | None, *, log: bool) -> tuple[float, FloatArray]:
+    """Shift by the model error that all repeats share, and how far (2,) it reaches down and up from there, of
+    the logarithm if *log*; without end where it leaves the parameter undetermined.
+    """
+    if common is None or common.fitted is None:
+        return 0.0, np.zeros(2)
+    if common.std_error is None or common.ci95 is None:
+        return 0.0, np.full(2, np.inf)
+    numbers = np.array([common.fitted, common.value, *common.ci95])
+    unit = abs(common.value) if log else 1.0
+    on_scale = np.log(np.abs(numbers)) if log and abs(np.sum(np.sign(numbers))) == 4 else numbers / unit
+    fitted, value, low, high = on_scale.tolist()
+    sides = np.maximum([value - min(low, high), max(low, high) - value], 0.0)
+    noise = NORMAL * common.std_error / unit
+    return value - fitted, np.sqrt(np.maximum(sides**2 - noise**2, 0.0))
 
 
 def stated_mean(
@@ -370,9 +377,9 @@ def stated_mean(
     *aside*, which may be another state; without what given numbers add.
     """
     shift, extra = _common_part(common, log=of.log)
-    between, wide = mean.half_width, float(np.hypot(mean.half_width, extra))
-    low = min(mean.value - between, mean.value + shift - wide)
-    high = max(mean.value + between, mean.value + shift + wide)
+    between, (down, up) = mean.half_width, np.hypot(mean.half_width, extra).tolist()
+    low = min(mean.value - between, mean.value + shift - down)
+    high = max(mean.value + between, mean.value + shift + up)
     sign = float(np.sign(parameter.value)) if of.log else 1.0
 
     # An interval may reach as far as numbers do.
@@ -390,12 +397,16 @@ def stated_mean(
         between = max(between, (interval[1] - interval[0]) / 2 / unit)
     scatter = float(np.sqrt(max((between * unit / limit) ** 2 - error**2, 0.0)))
     full = max(full, float(np.hypot(scatter, error)))
-    return replace(
-        restate(parameter, value, full, interval, std_error=error),
+    return restate(
+        parameter,
+        value,
+        full,
+        interval,
+        std_error=error,
         interval=IntervalParts(error, repeats=scatter),
         systematic=None,
         fitted=None,
-        reason=common.reason if common is not None and extra > between else "",
+        reason=common.reason if common is not None and max(extra) > between else "",
         discrepancy=None if common is None else common.discrepancy,
         repeats=replace(summary, spread=mean.spread * unit, values=tuple(back(value) for value in of.values)),
     )

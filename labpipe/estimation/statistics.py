@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -89,12 +90,23 @@ def widen(parameter: Parameter, factor: float) -> Parameter:
     return replace(parameter, std_error_inflated=error, ci95=interval, t_ratio=ratio, significant=significant)
 
 
+# Times the value from which on an end of its interval bounds nothing: its order of magnitude is unknown.
+BOUNDLESS = 100.0
+UNDETERMINED = f"not determined: at 95 % beyond {BOUNDLESS:g} times the value"
+
+
 def restate(
     parameter: Parameter, value: float, error: float, ci95: tuple[float, float], **others: Any
 ) -> Parameter:
     """The parameter with another *value*, full standard *error* and interval *ci95* [all its unit], with
-    ratio and significance by these where it has them; *others*: further fields.
+    ratio and significance by these where it has them; *others*: further fields. The value alone, and as the
+    reason so, where both ends have one sign and one is BOUNDLESS times as large.
     """
+    same_sign = not ci95[0] < 0 < ci95[1] or not math.isfinite(error)
+    if same_sign and max(map(abs, ci95)) > BOUNDLESS * abs(value):
+        bare = replace(parameter, value=value, **others).without_interval
+        why = bare.reason.removeprefix(UNDETERMINED).removeprefix("; ")
+        return replace(bare, reason=f"{UNDETERMINED}; {why}".removesuffix("; "))
     return replace(
         parameter,
         value=value,

@@ -165,6 +165,12 @@ class Parameter:
         )
 
     @property
+    def without_interval(self) -> Parameter:
+        """The value alone."""
+        bare = replace(self, std_error=None, std_error_inflated=None, t_ratio=None, ci95=None)
+        return replace(bare, significant=None, interval=None)
+
+    @property
     def measured_ci95(self) -> tuple[float, float] | None:
         """The 95 % interval by noise, repeats and given numbers, for what is compared with a value of the
         same model on the same lines.

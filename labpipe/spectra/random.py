@@ -250,7 +250,29 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
 
     change = change_of_random(halved, layout, chosen, response_of, n_input + 1)
-    return replace(parts, blocks=blocks, change=change)
+    leaks = not all(ends_at_rest(source, settings) for source in sources)
+    return replace(parts, blocks=blocks if leaks else None, change=change)
+
+
+# Part of a block at its end, and the share of the mean power that is left there of a burst.
+END, AT_REST = 0.02, 0.01
+
+
+def ends_at_rest(source: SampleSource, settings: FrfSettings) -> bool:
+    """Whether every block of a recording, without a window, ends at rest as a burst does: nothing leaks then
+    from block to block, and no line into its neighbours.
+    """
+    if settings.window != "boxcar" or settings.overlap or settings.block is None:
+        return False
+    n_sample = block_samples(source, settings.block)
+    left, mean = (np.zeros(len(source.channels)) for _ in range(2))
+    for block in source.blocks(n_sample):
+        if len(block) == n_sample:
+            power = (block - np.mean(block, axis=0)) ** 2
+            left += np.mean(power[-max(round(END * n_sample), 1) :], axis=0)
+            mean += np.mean(power, axis=0)
+    measured = [channel.role != "reference" for channel in source.channels]
+    return bool(np.all(left[measured] < AT_REST * mean[measured]))
 
 
 def parts_of_spectra(

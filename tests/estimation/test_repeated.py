@@ -241,13 +241,31 @@ def test_repeats_are_written_and_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.repeat_levels, response.repeat_levels)
 
 
-def test_an_interval_reaches_as_far_as_numbers_do() -> None:
-    """A logarithm known to 2.4 +- 800: exp(710) is not a number any more, and nothing is said of it."""
-    mean = RepeatMean(2.4, 800.0, 0.1, np.full(2, 0.5), np.zeros(0))
+@pytest.mark.parametrize("log", [True, False])
+def test_what_repeats_leave_open_has_no_interval(log: bool) -> None:
+    """A logarithm known to 2.4 +- 800 says nothing of c: exp(710) is not a number any more. Of a number
+    that the model error which they share leaves open, their scatter says nothing either.
+    """
     damping = Parameter("c", 11.0, "N.s/m", std_error=0.1, ci95=(10.8, 11.2))
-    of = RepeatValues(np.log([10.0, 12.0]), np.full(2, 1e-4), log=True)
-    found = stated_mean(damping, mean, of, None, 1, Repeats(2, 2, 0.1, ()))
-    assert found.ci95 is not None and found.ci95[1] == np.inf
+    common = replace(damping, std_error=None, ci95=None, fitted=11.0, reason="not determined: other modes")
+    mean = RepeatMean(2.4, 800.0 if log else 0.1, 0.1, np.full(2, 0.5), np.zeros(0))
+    shared = None if log else common
+    of = RepeatValues(np.array([2.3, 2.5]), np.full(2, 1e-4), log=log)
+    found = stated_mean(damping, mean, of, shared, 1, Repeats(2, 2, 0.1, ()))
+    assert (found.ci95, found.std_error, found.full_error, found.interval) == (None,) * 4
+    assert found.reason.startswith("not determined") and found.repeats.used == 2
+
+
+def test_a_model_error_that_repeats_share_keeps_its_ends() -> None:
+    """A damping between a third and six times its value by the fit of all: so it stays where the repeats
+    agree to a thousandth. As a share of the value that interval has the half-width 2.8, and e^2.8 is 17.
+    """
+    mean = RepeatMean(float(np.log(0.03)), 1e-3, 1e-4, np.full(2, 0.5), np.zeros(0))
+    pooled = Parameter("zeta_1", 0.03, "1", std_error=1e-5, ci95=(0.03, 0.03))
+    common = replace(pooled, ci95=(0.01, 0.18), fitted=0.03, reason="gain curve")
+    values = RepeatValues(np.log([0.03, 0.03]), np.full(2, 1e-8), log=True)
+    found = stated_mean(pooled, mean, values, common, 100, Repeats(2, 2, 1e-4, ()))
+    np.testing.assert_allclose(found.ci95, (0.01, 0.18), rtol=1e-3)
 
 
 def test_a_gain_of_few_degrees_of_freedom_widens_means_by_student_s_factor() -> None:

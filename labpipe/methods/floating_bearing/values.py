@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.estimation import statistics
-from labpipe.estimation.derived import reported_fit, without_intervals
+from labpipe.estimation.derived import reported_fit
 from labpipe.estimation.diagnostics import estimate_findings, goodness_findings
 from labpipe.estimation.settings import FitSettings
 from labpipe.estimation.statistics import appraise, derive, student_limit, widen
@@ -520,8 +520,7 @@ def balance_fit(
         amplification=amplification,
     )
     if not best.converged:
-        plain = without_intervals(parameters)
-        parameters = [replace(shown, std_error_inflated=None, systematic=None) for shown in plain]
+        parameters = [replace(shown.without_interval, systematic=None) for shown in parameters]
     warnings = estimate_findings(stated, best.model.names, n_line, best.model.units, remedy)
     fit = reported_fit(settings, stated, tuple(parameters), band, n_line)
     return replace(fit, findings=(*warnings, *goodness_findings(gof)))

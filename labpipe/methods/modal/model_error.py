@@ -9,7 +9,6 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.errors import FitError
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.discrepancy import FEWEST_WIDTHS, Mixture, Settled, mixture, settle
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
@@ -385,7 +384,7 @@ def with_model_errors(
         number = int(parameter.name.rpartition("_")[2])
         pole = poles[number - 1]
         if pole.real >= 0:
-            stated += without_intervals([parameter])
+            stated.append(parameter.without_interval)
         elif number in errors:
             stated += errors[number].state([parameter])
         elif estimate.chi2_reduced is None:

@@ -105,11 +105,9 @@ class MovedMode:
         if np.count_nonzero(shown) < FEWEST_POINTS:
             return ()
         poles = self.poles[shown]
-        n, ends = poles.size, []
-        for x in (np.log(np.abs(poles) / (2 * np.pi)), np.log(-poles.real / np.abs(poles))):
-            reach = student_quantile(0.975, n - 1) * np.std(x, ddof=1) * np.sqrt(1 + 1 / n)
-            ends.append((float(np.mean(x) - reach), float(np.mean(x) + reach)))
-        return tuple(ends)
+        size = np.abs(poles)
+        ends = _of_another(np.log(np.column_stack([size / (2 * np.pi), -poles.real / size])))
+        return tuple((low, high) for _, low, high in ends)
 
     def held_by(self, parameter: Parameter) -> Parameter:
         """A frequency or damping of a pole that this mode may stand for, whose interval holds this mode's."""
@@ -479,10 +477,14 @@ def mean_of_points(
     scatter = np.sum(weights * (values - np.average(values, axis=0, weights=weights)) ** 2, axis=0)
     if chi2_tail(float(np.max(scatter)), n - 1) >= DISAGREE:
         return {}
-    mean = np.mean(values, axis=0)
+    return dict(zip(("f_n", "zeta"), _of_another(values), strict=True))
+
+
+def _of_another(values: FloatArray) -> list[tuple[float, float, float]]:
+    """mean, mean -+ t s sqrt(1 + 1/n) of the columns of *values* (n, n_column) [1]."""
+    n, mean = len(values), np.mean(values, axis=0)
     reach = student_quantile(0.975, n - 1) * np.std(values, axis=0, ddof=1) * np.sqrt(1 + 1 / n)
-    ends = zip(mean.tolist(), (mean - reach).tolist(), (mean + reach).tolist(), strict=True)
-    return dict(zip(("f_n", "zeta"), ends, strict=True))
+    return list(zip(mean.tolist(), (mean - reach).tolist(), (mean + reach).tolist(), strict=True))
 
 
 def unloaded_values(

@@ -370,8 +370,9 @@ def criterion(refined: Refined, terms: ResidualTerms) -> float:
 
 
 MOST_ADDED = 4
-# Modes beyond the edges of the band that are looked for, one for each in most cases.
-MOST_BESIDE = 2
+# Modes beyond the edges of the band that are looked for, one for each in most cases, and of how many sets of
+# modes in it.
+MOST_BESIDE, MOST_MISSING = 2, 2
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
 # Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
@@ -473,6 +474,7 @@ def complete(
     They are kept only if the residual then is noise.
     """
     first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
+    chain = [first]
     while adding and done.added < MOST_ADDED:
         # Many terms follow a mode in the band as well, and leave noise.
         now, least = done.refined, ResidualTerms(terms.lines, 1, 1)
@@ -486,9 +488,16 @@ def complete(
         if not supported:
             break
         done = min(supported, key=lambda more: criterion(more.refined, more.terms))
-    if adding and done.p_noise < MISMATCH_P:
-        done = _with_modes_beside(first, correlation)
-    return done if done.p_noise >= MISMATCH_P else first
+        chain.append(done)
+    pole, ends = done.refined.poles[-1], terms.lines.omega[[0, -1]]
+    at_edge = done.added > 0 and np.min(np.abs(abs(pole) - ends)) < -2 * pole.real
+    if adding and (at_edge or done.p_noise < MISMATCH_P):
+        # A mode that is missing hides one beyond the band, whose flank looks like a mode at its edge.
+        searched = (_with_modes_beside(of, correlation) for of in chain[:MOST_MISSING])
+        beside = next((of for of in searched if of.p_noise >= MISMATCH_P), first)
+        noise = [of for of in (done, beside) if of.p_noise >= MISMATCH_P]
+        done = min(noise, key=lambda of: criterion(of.refined, of.terms), default=first)
+    return done
 
 
 def _with_modes_beside(first: Completed, correlation: tuple[complex, ...]) -> Completed:
@@ -496,8 +505,8 @@ def _with_modes_beside(first: Completed, correlation: tuple[complex, ...]) -> Co
     follows: their poles are refined with all others, and are residual terms then.
     """
     done = first
-    for _ in range(MOST_BESIDE):
-        if done.p_noise >= MISMATCH_P:
+    for number in range(MOST_BESIDE):
+        if number and done.p_noise >= MISMATCH_P:
             break
         lines, refined = done.terms.lines, done.refined
         decay, residual = float(np.median(-refined.poles.real)), remaining(done.terms, refined)

@@ -13,7 +13,6 @@ import scipy
 from labpipe.arrays import FloatArray
 from labpipe.errors import FitError, SettingError
 from labpipe.estimation.budget import Source, mass_source, with_sources
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.measured import chosen_ports
 from labpipe.estimation.settings import FitSettings, ModelKind
@@ -114,7 +113,7 @@ def mode_parameters(fitted: likelihood.Decayed, mass: float | None) -> tuple[Par
                 if number < 2
                 else derive(name, unit, float(value), error, fitted.dof)
             )
-    return tuple(parameters) if fitted.converged else without_intervals(parameters)
+    return tuple(p if fitted.converged else p.without_interval for p in parameters)
 
 
 def _frequency_and_damping(pole: complex) -> tuple[tuple[str, str, float, FloatArray], ...]:
@@ -142,7 +141,7 @@ def with_course(
         mode = int(number) - 1
         spread = amplitude_law.course_spread(curves[mode], complex(fitted.poles[mode]))
         if spread is None or parameter.ci95 is None or parameter.value <= 0:
-            widened += without_intervals([parameter])
+            widened.append(parameter.without_interval)
             continue
         of_f, of_zeta = repeats.powers_of(name, -fitted.poles[mode].real / abs(fitted.poles[mode]))
         model = float(np.hypot(of_f * spread[0], of_zeta * spread[1]))
@@ -181,7 +180,7 @@ def law_parameters(
             parts = IntervalParts(noise, discrepancy=model)
             parameter = restate(parameter, parameter.value, reach / student_limit(dof), ends, interval=parts)
         elif law.p_value < MISMATCH_P:
-            (parameter,) = without_intervals([parameter])
+            parameter = parameter.without_interval
         parameters.append(parameter)
     return tuple(parameters)
 

@@ -225,6 +225,86 @@ def test_a_mode_just_beyond_the_band_is_no_mode_of_it_and_no_mismatch(
     assert any(f"the mode at {beside}, beyond the band" in note for note in fit.notes)
 
 
+def at_points(
+    frequency: np.ndarray, modes: dict[float, float], shapes: np.ndarray, level: float
+) -> FrequencyResponse:
+    """Accelerance of *modes* (damping ratios by frequency) with *shapes* (n_point, n_mode) under a force at
+    the first point; noise is a share of the root mean square of each FRF.
+    """
+    w, w_n, ratios = 2 * np.pi * frequency[:, None], 2 * np.pi * np.array(list(modes)), [*modes.values()]
+    matrix = (-(w**2) / (w_n**2 - w**2 + 2j * np.array(ratios) * w_n * w)) @ (shapes * shapes[0]).T
+    std = level * np.sqrt(np.mean(np.abs(matrix) ** 2, axis=0)) * np.ones(matrix.shape)
+    noise = np.random.default_rng(0).normal(size=(2, *matrix.shape)) / np.sqrt(2)
+    points = tuple(Port(f"p{n}", f"p{n}", f"p{n}") for n in range(len(shapes)))
+    return FrequencyResponse(
+        frequency,
+        (matrix + std * (noise[0] + 1j * noise[1]))[:, :, None],
+        points,
+        (Port("f", "f", "p0"),),
+        form="accelerance",
+        covariance=diagonal_covariance(std[:, :, None] ** 2),
+    )
+
+
+def test_a_close_mode_is_found_beside_one_that_lies_beyond_the_band() -> None:
+    """A quarter of a half-power width apart, and one mode just above the band: neither alone leaves noise."""
+    modes, shapes = {200.0: 0.01, 201.0: 0.01, 259.5: 0.01}, np.random.default_rng(2).normal(size=(12, 3))
+    fit = modal(at_points(np.arange(150.0, 258.0, 0.5), modes, shapes, 1e-3))
+    has_modes_alone(fit, modes, (200.0, 201.0))
+
+
+def test_a_suspension_mode_below_the_band_is_no_mode_at_its_edge() -> None:
+    """A free body on cords, at nine points along it, in closed form: bounce at 4.5 Hz, pitch at 5.5 Hz, and
+    bending as cosines. A pole at 5.05 Hz with a negative mass stood for the flank of the first.
+    """
+    modes = {4.5: 0.05, 5.5: 0.04, 60.0: 0.004, 165.4: 0.0048, 324.2: 0.0056, 536.0: 0.0064, 800.0: 0.007}
+    x = np.linspace(0, 1, 9)[:, None]
+    shapes = np.hstack(
+        [np.ones_like(x), np.sqrt(12) * (x - 0.5), np.sqrt(2) * np.cos(np.pi * x * range(2, 7))]
+    )
+    fit = modal(at_points(np.arange(5.0, 450.0, 0.37), modes, shapes, 0.005))
+    has_modes_alone(fit, modes, (5.5, 60.0, 165.4, 324.2))
+
+
+def has_modes_alone(fit: Fit, modes: dict[float, float], inside: tuple[float, ...]) -> None:
+    assert fit.findings == () and fit.detail(Modes).frequency.size == len(inside)
+    assert fit.gof.chi2_reduced == pytest.approx(1, abs=4 * np.sqrt(2 / fit.dof))
+    for number, f_n in enumerate(inside, 1):
+        assert within(fit, f"f_n_{number}", f_n) and within(fit, f"zeta_{number}", modes[f_n])
+
+
+@pytest.mark.parametrize("burst", [True, False])
+def test_bursts_that_die_away_leak_nothing(burst: bool) -> None:
+    """Force and the exact response of two modes (closed form times the spectrum of the record), in blocks:
+    what leaks of steady random data was looked for in bursts as well, and came as a second mode.
+    """
+    rng, rate, n, number = np.random.default_rng(3), 256.0, 1024, 15
+    force = rng.normal(size=(number + 4, n))
+    if burst:
+        force[:, n // 4 :] = 0.0
+        force[number:] = 0.0
+    w, x = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / rate)[:, None], np.fft.rfft(force.ravel())
+    w_n, ratio, shapes = (
+        2 * np.pi * np.array([38.0, 71.0]),
+        0.01,
+        np.array([[0.9, 0.5], [1.2, -0.8], [0.4, 1.0]]),
+    )
+    h = (-(w**2) / (w_n**2 - w**2 + 2j * ratio * w_n * w)) @ (shapes * shapes[0]).T
+    response = np.fft.irfft(x[:, None] * h, force.size, axis=0)
+    response += 0.01 * response.std(axis=0) * rng.normal(size=response.shape)
+    channels = (
+        Channel("f", "force", "input", "p0"),
+        *(Channel(f"a{point}", "acceleration", "output", f"p{point}") for point in range(3)),
+    )
+    samples = np.column_stack([force.ravel(), response])[: number * n]
+    frf = FrfSettings("random", block="4 s", window="boxcar", overlap="0 %", band="20-90 Hz")
+    measured = measure([Recording(channels, samples, rate, "burst")], frf)
+    fit = modal(measured)
+    assert fit.detail(Modes).frequency.size == 2 and fit.findings == ()
+    assert all(within(fit, f"f_n_{place}", f) for place, f in ((1, 38.0), (2, 71.0)))
+    assert (measured.blocks is None) == burst
+
+
 @pytest.mark.parametrize("named", [(), (162.0,)])
 def test_a_mode_below_the_noise_of_single_lines_is_found_by_means_of_lines(named: tuple[float, ...]) -> None:
     """162 Hz, 1.2 %, at eight points, noise of 0.6 of the peak on each of 561 lines: the closed form's mode

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from labpipe.estimation.derived import without_intervals
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model_error import ModelError, StatedRow
 from labpipe.estimation.settings import FitSettings
@@ -94,7 +93,7 @@ def test_no_mode_is_left_without_an_interval() -> None:
 def test_a_value_without_an_interval_has_no_error_left() -> None:
     """Neither that of noise nor a wider one: an unstable mode of an unexplained residual had the latter."""
     wide = Parameter("zeta_1", -0.01, "1", std_error=1e-3, ci95=(-0.02, 0.0), std_error_inflated=2e-3)
-    (plain,) = without_intervals([wide])
+    plain = wide.without_interval
     assert plain == Parameter("zeta_1", -0.01, "1") and plain.full_error is None
 
 
