@@ -32,6 +32,7 @@ from labpipe.estimation.statistics import restate, student_limit
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, Repeats, note
 from labpipe.records.identification import Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse, diagonal_covariance
+from labpipe.records.uncertain import Budget
 
 # Quantities that no gain changes, whose scatter is known from measured structures.
 FREQUENCY, DAMPING = ("f_n",), ("zeta", "eta")
@@ -239,13 +240,7 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
             stated.append(stated_mean(parameter, means[name], of, shared, pooled.dof, summary, aside))
         else:
             stated.append(parameter)
-    if (budget := pooled.budget) is not None:
-        budget = budget.with_random(
-            {p.name: p.full_error for p in stated if p.name in means and p.full_error}
-        )
-        plain = {p.name: p for p in stated}
-        wide = {p.name: p for p in with_systematic([plain[name] for name in budget.names], budget)}
-        stated = [wide.get(p.name, p) if p.name in means else p for p in stated]
+    stated, budget = _with_given(stated, pooled.budget, means)
     return replace(
         pooled,
         parameters=tuple(stated),
@@ -253,6 +248,18 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
         findings=(*pooled.findings, *_findings(recordings, kept, means, test, course)),
         notes=(*pooled.notes, _wording(sum(used), tuple(dict.fromkeys(groups)), test, course)),
     )
+
+
+def _with_given(
+    stated: list[Parameter], budget: Budget | None, means: Mapping[str, RepeatMean]
+) -> tuple[list[Parameter], Budget | None]:
+    """The parameters, and what given numbers add to the uncertainty of the *means* among them."""
+    if budget is None:
+        return stated, None
+    budget = budget.with_random({p.name: p.full_error for p in stated if p.name in means and p.full_error})
+    plain = {p.name: p for p in stated}
+    wide = {p.name: p for p in with_systematic([plain[name] for name in budget.names], budget)}
+    return [wide.get(p.name, p) if p.name in means else p for p in stated], budget
 
 
 @dataclass(frozen=True)

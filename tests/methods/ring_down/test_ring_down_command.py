@@ -158,7 +158,7 @@ def test_decays_are_compared_over_their_conditions(lab: Path, labpipe) -> None:
             "identify.ring.model: model decay needs free decays, not an FRF",
         ),
         ("modes: 1", "modes: 0", "6:24", "modes' is 0"),
-        ("modes: 1", "mode: 1", "6:24", "identify.ring.mode: unknown key"),
+        ("modes: 1", "mode: 1", "6:24", "identify.ring.decay.mode: unknown key; did you mean 'modes'?"),
         (
             "excitation: decay",
             "excitation: decay, band: 1-9 Hz",
