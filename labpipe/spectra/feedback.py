@@ -140,10 +140,11 @@ def _findings(chances: dict[str, float], reference: Sequence[str], what: str = B
             f"loop. {what}. Name what is injected from outside, as it leaves the generator"
         )
     else:
+        force = named if named == "force" else f"force {named}"
         message = (
-            f"the loop is closed: the force {named} {follows}, as of a levitated rotor or under a "
-            f"controller. {what}, and coherence does not show it. Record what is injected into the loop, "
-            "with role: reference, and name it: `frf: {reference: ...}`"
+            f"the loop is closed: the {force} {follows}, as of a levitated rotor, under a controller, or "
+            f"where the motion is what is driven. {what}, and coherence does not show it. Record what is "
+            "injected into the loop, with role: reference, and name it: `frf: {reference: ...}`"
         )
     return (Finding("feedback", message),)
 
