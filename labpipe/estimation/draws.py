@@ -16,11 +16,11 @@ from labpipe.arrays import ComplexArray
 from labpipe.errors import FitError
 from labpipe.estimation.budget import Case, Change, Refit, sources_of
 from labpipe.estimation.measured import Measured
+from labpipe.estimation.settings import FEWEST
 from labpipe.estimation.weights import has_noise, weight_uncertainty, whitener
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.uncertain import Budget, Uncertainty
 
-FEWEST_REPEATS = 50
 # Largest share of failed refits: above it the intervals would be biased towards the successful ones.
 MOST_FAILED = 0.05
 
@@ -32,10 +32,10 @@ def bootstrap(
     asks for, and a note.
 
     *fitted* (n_line, n_output, n_input) [m/N]. The seed follows from the fit's name. FitError for an unknown
-    noise, too few repeats, or failed refits.
+    noise or failed refits.
     """
     repeats = case.setup.settings.bootstrap
-    _check("bootstrap", repeats, FEWEST_REPEATS, 200, case.measured)
+    _check_noise("bootstrap", case.measured)
     refits = [drawn for drawn in _draws(case, (), fitted, refit, repeats) if drawn]
     _check_failed("bootstrap", len(refits), repeats)
     note = (
@@ -46,10 +46,7 @@ def bootstrap(
     return tuple(scattered), note
 
 
-def _check(key: str, n: int, fewest: int, usual: int, measured: Measured) -> None:
-    if n < fewest:
-        hint = f"at least {fewest}, {usual} is usual"
-        raise FitError(f"{key}: {n} repeats give no 95 % interval", hint=hint)
+def _check_noise(key: str, measured: Measured) -> None:
     if not has_noise(measured):
         what = f"{key} needs the noise of the FRF, which is not known"
         raise FitError(what, hint=f"leave `{key}` out")
@@ -90,7 +87,7 @@ def redrawn(
 
 def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
     """The parameter with standard error and interval of its *values* in refits, where enough converged."""
-    if parameter.std_error is None or len(values) < FEWEST_REPEATS * (1 - MOST_FAILED):
+    if parameter.std_error is None or len(values) < FEWEST["bootstrap"] * (1 - MOST_FAILED):
         return parameter
     low, high = np.percentile(values, [2.5, 97.5])
     error = float(np.std(values, ddof=1))
@@ -100,7 +97,6 @@ def with_scatter(parameter: Parameter, values: list[float]) -> Parameter:
     return replace(parameter, std_error=error, ci95=ends, t_ratio=t_ratio, significant=significant)
 
 
-FEWEST_DRAWS = 200
 # Scatter of the draws over the first-order uncertainty beyond which that is not enough, besides chance.
 ENOUGH = 0.05
 
@@ -126,10 +122,10 @@ def propagate(
     """*draws* refits on *fitted* (n_line, n_output, n_input) [m/N] plus noise, every number off by an error
     of its distribution.
 
-    The seed follows from the fit's name. FitError for an unknown noise, too few draws, or failed refits.
+    The seed follows from the fit's name. FitError for an unknown noise or failed refits.
     Equation (unc-first-order).
     """
-    _check("monte_carlo", draws, FEWEST_DRAWS, 2000, case.measured)
+    _check_noise("monte_carlo", case.measured)
     # A number that the data contradict is as uncertain as in the budget.
     counted = {source.source: source for source in budget.sources}
     sources = [(counted.get(of.source, of), change) for of, change in sources_of(case.setup, case.measured)]

@@ -100,6 +100,8 @@ MODELS = Registry("model")
 # Estimators, or, of plug-ins, functions from a measured FRF, a model and the weight of lines to an Estimate.
 ESTIMATORS = Registry("estimator")
 WEIGHTS = ("none", "noise")
+# Draws that give a 95 % interval.
+FEWEST = {"bootstrap": 50, "monte_carlo": 200}
 # Laws that put factors in place of the damping coefficients, which are `viscous`.
 VISCOUS = "viscous"
 DAMPINGS = Registry("damping law")
@@ -274,6 +276,11 @@ class FitSettings(Settings):
         hint = "for example [mon-*, tue-*, wed-*]"
         _refuse(len(self.repeat_groups) == 1, "repeat_groups", what, hint)
         self.require_share("coverage")
+        for key, fewest in FEWEST.items():
+            what = f"'{key}' of {getattr(self, key)} draws gives no 95 % interval"
+            _refuse(
+                0 < getattr(self, key) < fewest, key, what, f"at least {fewest}; several times that is usual"
+            )
         several = law and self.kind.own_damping and DAMPINGS.load(self.damping).fewest > 1
         every = f"every mode of model {self.model} has its own"
         what = f"{self.damping} damping is of several coefficients, {every}"

@@ -258,7 +258,9 @@ class Budget:
             counts = change > MINOR * self.combined**2
             square = square + np.where(counts, factor, 1.0) * change
             fourth = fourth + np.where(counts, excess * (factor * change) ** 2, 0.0)
-        return np.sqrt(square), fourth / np.maximum(square, np.finfo(float).tiny) ** 2
+        # What does not scatter at all has no shape.
+        kurtosis = np.divide(fourth, square**2, out=np.zeros_like(square), where=square != 0)
+        return np.sqrt(square), kurtosis
 
     def with_random(self, errors: Mapping[str, float]) -> Budget:
         """The budget with other random *errors* [unit of the parameter] by the names of parameters."""

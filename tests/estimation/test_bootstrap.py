@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.errors import FitError
+from labpipe.errors import FitError, SettingError
 from labpipe.estimation.draws import with_scatter
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
@@ -74,5 +74,7 @@ def test_error_and_interval_are_those_of_the_refits() -> None:
 def test_what_bootstrap_needs_is_said(sdof_response) -> None:
     with pytest.raises(FitError, match="not known"):
         identify(sdof_response(), SDOF)
-    with pytest.raises(FitError, match="20 repeats give no 95 % interval"):
-        identify(sdof_response(1e-7), replace(SDOF, bootstrap=20))
+    for key, fewest in (("bootstrap", 50), ("monte_carlo", 200)):
+        with pytest.raises(SettingError, match=f"'{key}' of {fewest - 1} draws gives no 95 % interval"):
+            replace(SDOF, **{key: fewest - 1})
+        assert getattr(replace(SDOF, **{key: fewest}), key) == fewest
