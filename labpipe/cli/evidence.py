@@ -89,12 +89,12 @@ def archive(
     folder = results.parent if results.name == NAME else results
     if not (folder / NAME).is_file():
         raise DataError(f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER`")
-    made = read_identification(folder / NAME)
-    if made.dataset is not None and not made.inputs:
+    result = read_identification(folder / NAME)
+    if result.dataset is not None and not result.inputs:
         what = "is of a watch, whose recordings came one by one: no pipeline gives it again"
         hint = "run `labpipe run` over them, `each: FOLDER/*`, and archive its results"
         raise DataError(what, folder / NAME, hint)
-    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, made.pipeline))
+    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, result.pipeline))
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
         pack(packed, output, day or change_day(folder / NAME))
@@ -229,8 +229,8 @@ def verify(
         code = _verify_folder(here, show(folder), pipeline_path, how)
         if pipeline_path is not None and not again and (here / NAME).is_file():
             with suppress(LabpipeError):
-                made, pipeline = read_identification(here / NAME), load_pipeline(pipeline_path)
-                if stale := changed_since(made, pipeline, folder):
+                result, pipeline = read_identification(here / NAME), load_pipeline(pipeline_path)
+                if stale := changed_since(result, pipeline, folder):
                     echo(message_line(f"{pipeline_path}: {stale}; `labpipe run` makes it again"))
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code
@@ -331,9 +331,9 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
 def _hindrance(archive: Unpacked) -> str:
     if archive.left_out:
         return f"of {archive.left_out} files the archive holds only the digests"
-    made = read_identification(archive.results / NAME)
-    other = f"it was made by another build of labpipe ({made.version or 'unknown'}); this is {__version__}"
-    return "" if made.code == code_digest() else other
+    result = read_identification(archive.results / NAME)
+    other = f"it was made by another build of labpipe ({result.version or 'unknown'}); this is {__version__}"
+    return "" if result.code == code_digest() else other
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:

@@ -318,14 +318,14 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
     """The parameters with intervals that hold those of hysteretic damping as well, where that alone leaves
     noise: of c and zeta what dissipates as much at the resonance.
     """
-    other = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
-    model = _model(other)
-    of_law = derived.reported_parameters(_estimate(measured, model, other.settings), model, other)
+    hysteretic = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
+    model = _model(hysteretic)
+    of_law = derived.reported_parameters(_estimate(measured, model, hysteretic.settings), model, hysteretic)
     values = {p.name: np.array([p.value, p.std_error or 0.0]) for p in of_law}
     if {"k", "eta", "f_n"} <= values.keys():
         values["zeta"] = values["eta"] / 2
         values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
-    held = []
+    widened = []
     for p in parameters:
         if p.name in values and p.ci95 is not None and p.interval is not None:
             value, error = values[p.name].tolist()
@@ -334,8 +334,8 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
             excess = float(np.sqrt(max(full**2 - p.interval.noise**2, 0.0)))
             parts = replace(p.interval, discrepancy=excess)
             p = restate(p, p.value, full, (low, high), interval=parts)
-        held.append(p)
-    return tuple(held)
+        widened.append(p)
+    return tuple(widened)
 
 
 # Times the chi-square of another law of damping up to which a delay is as likely.
@@ -349,11 +349,11 @@ def _with_cause(fit: Fit, judgement: Judgement, cause: str) -> Fit:
     error, reason = judgement.model_error, cause.removeprefix("a ")
     if not cause or error is None:
         return fit
-    said = {f"likely {error.reason}": f"likely {cause}"}
+    words = {f"likely {error.reason}": f"likely {cause}"}
     if cause.endswith("damping"):
-        said[" as noise alone makes them"] = " as noise alone makes them, or wider by that law's values"
+        words[" as noise alone makes them"] = " as noise alone makes them, or wider by that law's values"
     findings = list(fit.findings)
-    for old, new in said.items():
+    for old, new in words.items():
         findings = [replace(f, message=f.message.replace(old, new)) for f in findings]
     return replace(
         fit,

@@ -211,7 +211,7 @@ LONGEST_METADATA = 1 << 28
 ENCRYPTED = 0x1
 NOT_OURS, NAME_ONE = "labpipe writes no such archive", "name a file that `labpipe archive` wrote"
 # What reading a damaged member raises.
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, ValueError)
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError, ValueError)
 
 
 def is_archive(path: Path) -> bool:

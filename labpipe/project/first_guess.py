@@ -180,11 +180,11 @@ def guess_channels(
     guessed = [_sense(channel, (sensitivities or {}).get(channel.column, "")) for channel in guessed]
     if len({*map(_node, names)} - {""}) > 1:
         guessed = [replace(c, dof=f"{_node(c.column)}.{c.dof}") if _node(c.column) else c for c in guessed]
-    if sum(channel.role == "input" for channel in guessed) == 0:
+    if not any(channel.role == "input" for channel in guessed):
         guessed = _with_base(guessed)
     outputs = [channel for channel in guessed if channel.role == "output"]
-    at = Counter((channel.quantity, channel.dof) for channel in outputs)
-    guessed = [replace(c, dof=c.key) if at[c.quantity, c.dof] > 2 else c for c in guessed]
+    numbers = Counter((channel.quantity, channel.dof) for channel in outputs)
+    guessed = [replace(c, dof=c.key) if numbers[c.quantity, c.dof] > 2 else c for c in guessed]
     return [_along(channel, outputs) for channel in guessed]
 
 
@@ -244,11 +244,12 @@ def with_a_response(channels: tuple[GuessedChannel, ...]) -> tuple[GuessedChanne
     roles = {channel.role for channel in channels}
     if "input" not in roles or "output" in roles:
         return channels
-    told = [
+    sensors = [
         replace(c, quantity=DECIDE, role="", sensitivity=DECIDE) if c.quantity == "voltage" else c
         for c in channels
     ]
-    return tuple(_along(channel, [c for c in told if c.quantity == DECIDE]) for channel in told)
+    responses = [channel for channel in sensors if channel.quantity == DECIDE]
+    return tuple(_along(channel, responses) for channel in sensors)
 
 
 def _needs_sensitivity(unit: str) -> bool:

@@ -147,11 +147,11 @@ def _weights(fits: Sequence[Fit], name: str) -> FloatArray:
     """Weights (n_fit,) [1] of the repeats in the mean of a coefficient, as that of the matrix has them, of
     sum one; alike where one of them does not have it, or no error.
     """
-    found = [parameter for fit in fits for parameter in fit.parameters if parameter.name == name]
-    errors = np.array([parameter.std_error for parameter in found], np.float64)
-    if len(found) < len(fits) or not np.all(errors > 0):
+    coefficients = [parameter for fit in fits for parameter in fit.parameters if parameter.name == name]
+    errors = np.array([parameter.std_error for parameter in coefficients], np.float64)
+    if len(coefficients) < len(fits) or not np.all(errors > 0):
         return np.full(len(fits), 1 / len(fits))
-    spread = weighted_mean(np.array([parameter.value for parameter in found]), errors).spread
+    spread = weighted_mean(np.array([parameter.value for parameter in coefficients]), errors).spread
     weights = 1 / (errors**2 + spread)
     return np.asarray(weights / np.sum(weights))
 

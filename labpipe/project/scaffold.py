@@ -31,6 +31,7 @@ from labpipe.project.proposals import (
     turning_tacho,
 )
 from labpipe.project.ready_response import is_response, load_described, load_response
+from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
 from labpipe.project.tests import ReadyFrf
 from labpipe.quantities import UnitError, unit_of
@@ -98,15 +99,16 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
         files = [file for file, turns in zip(files, running, strict=True) if not turns]
         paths = [path for path, turns in zip(paths, running, strict=True) if not turns]
     joined = _join_files(files) if len(files) > 1 else None
-    seen = first_look(joined or open_table(files[0]))
-    first = seen.with_one_quantity()
-    beside = [new.key for old, new in zip(seen.channels, first.channels, strict=True) if old != new]
+    complete = first_look(joined or open_table(files[0]))
+    first = complete.with_one_quantity()
+    pairs = zip(complete.channels, first.channels, strict=True)
+    references = [after.key for before, after in pairs if before != after]
     if joined:
         paths = [f"{{join: {_quote(paths)}}}"]
     tacho = None if first.column_of("input") else turning_tacho(first)
     pipeline = _pipeline(first, files, paths, tacho) + "".join(f"{line}\n" for line in together)
-    if beside:
-        pipeline += BESIDE.format(", ".join(beside))
+    if references:
+        pipeline += BESIDE.format(", ".join(references))
     if "model: modal" in pipeline:
         first = first.move_forces_apart()
     return Scaffold(_rig(first, files[0]), pipeline, tacho)
@@ -236,7 +238,8 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tac
     keys = keys or [channel.key for channel in first.channels if channel.quantity == DECIDE]
     if not keys:
         lines.extend(_fit_lines("fit", force, unknown.format("a response"), UNSEEN))
-    of_base = bool(inputs) and first.channels[inputs[0]].quantity in MOTIONS
+    # A motion that drives is that of a base.
+    of_base = bool(inputs) and DEFAULT_ROLES.get(first.channels[inputs[0]].quantity) == "output"
     if of_base:
         peaks = {key: replace(peaks.get(key, UNSEEN), model="base") for key in keys}
     fits = {key: (f"fit_{key}", peaks.get(key, UNSEEN)) for key in keys}
@@ -246,8 +249,6 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tac
     return "\n".join([*lines, coupled]) + "\n"
 
 
-# Quantities of a base that drives.
-MOTIONS = ("displacement", "velocity", "acceleration")
 # Responses that look like a mode, from which on all of them are one modal test.
 MODAL_TEST = 3
 BESIDE = """# Not among the FRFs: {}. One matrix holds one quantity; for theirs swap `role: output` and

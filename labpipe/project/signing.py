@@ -25,6 +25,7 @@ from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.writing import output_file
 from labpipe.errors import ConfigError, DataError, shorten
+from labpipe.project.archive import DAMAGE
 from labpipe.project.report import drawn_from, stamped_source
 
 ROLES = ("measured", "checked", "approved")
@@ -167,12 +168,21 @@ def _sign_detached(path: Path, signer: Any, role: str, reason: str, timestamper:
 
 
 def members_of(path: Path) -> dict[str, str]:
-    """The SHA-256 of the files in an archive by their names, to name a change; none of other files."""
+    """The SHA-256 of the files in an archive by their names, to name a change, empty of one that cannot be
+    read; none of other files.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
-            return {name: hashlib.sha256(archive.read(name)).hexdigest() for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError, RuntimeError):
+            return {name: _member_digest(archive, name) for name in archive.namelist()}
+    except DAMAGE:
         return {}
+
+
+def _member_digest(archive: zipfile.ZipFile, name: str) -> str:
+    try:
+        return hashlib.sha256(archive.read(name)).hexdigest()
+    except DAMAGE:
+        return ""
 
 
 def _with_hints(plain: Any, text: str) -> Any:

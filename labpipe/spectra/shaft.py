@@ -109,8 +109,8 @@ def shaft_motion(source: SampleSource, lines: ShaftLines) -> ShaftMotion:
         raise DataError(
             f"{tacho}: {faults}, more than neighbours can tell", hint="sample faster, or see to its level"
         )
-    told = Finding("tacho-pulses", f"{tacho}: {faults}; by the intervals beside them they are counted right")
-    return ShaftMotion(times, _revolutions(times, counts, lines.pulses), (told,))
+    what = f"{tacho}: {faults}; by the intervals beside them they are counted right"
+    return ShaftMotion(times, _revolutions(times, counts, lines.pulses), (Finding("tacho-pulses", what),))
 
 
 def _count(times: FloatArray, per_turn: int) -> tuple[FloatArray, IntArray]:

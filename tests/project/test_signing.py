@@ -8,6 +8,7 @@ import datetime
 import glob
 import shutil
 import subprocess
+import zipfile
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -158,6 +159,21 @@ def test_a_changed_file_of_an_archive_is_named(people: Authority, archive: Path)
     archive.unlink()
     ((signature),) = [one for file in [*archive.parent.glob("*.p7s")] for one in signatures(file, Trust())]
     assert "which it signs, is not there" in signature.faults[0]
+
+
+@pytest.mark.parametrize("kept", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_damaged_file_of_an_archive_is_named(people: Authority, archive: Path, kept: int) -> None:
+    """Bytes of one member are turned over: as they are, and compressed, which then cannot be unpacked."""
+    with zipfile.ZipFile(archive, "w", kept) as packing:
+        for name in ("a.csv", "b.csv"):
+            packing.writestr(name, 500 * "1.25\n")
+    sign(archive, key(people, "Ann"), "measured")
+    content = bytearray(archive.read_bytes())
+    start = content.index(b"a.csv") + len("a.csv")
+    content[start : start + 12] = bytes(byte ^ 0xFF for byte in content[start : start + 12])
+    archive.write_bytes(content)
+    ((signature),) = listed(archive, Trust((people.pem,)))
+    assert signature.faults == ("a.csv: is not the file that was signed",)
 
 
 def test_one_changed_byte_is_noticed(tmp_path: Path) -> None:
