@@ -73,7 +73,7 @@ def _roots(entry: Any) -> tuple[complex, ...]:
 
 
 # The unit of a coefficient by the first letter of its name.
-COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1"}
+COEFFICIENT_UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg", "b": "1", "h": "N/m"}
 ESTIMATE = "estimate"
 # No count of a test rig comes near it.
 LARGEST_INTEGER = 10**9
@@ -257,7 +257,7 @@ def to_coefficients(value: Any, setting: Setting) -> tuple[tuple[str, float], ..
     for name, entry in _pairs(value, "coefficients", "{k_1_3: 0 N/m}"):
         unit = COEFFICIENT_UNITS.get(name[:1]) if name[1:2] in ("", "_") else None
         if unit is None:
-            raise UnitError(f"'{name}' is not a coefficient", "their names begin with k_, c_, m_ or b_")
+            raise UnitError(f"'{name}' is not a coefficient", "their names begin with k_, c_, m_, b_ or h_")
         coefficients.append((name, to_value(entry, replace(setting, unit=unit))))
     return tuple(coefficients)
 

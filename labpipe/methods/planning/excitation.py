@@ -21,7 +21,7 @@ from labpipe.document.render import DOCUMENTS
 from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines, PlannedRig as LimitedRig
-from labpipe.methods.planning.model import AXES
+from labpipe.methods.planning.model import AXES, FLOATING, UNITS
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
@@ -44,7 +44,6 @@ from labpipe.spectra.measurement import measure
 
 RIG, PIPELINE = "rig.yaml", "pipeline.yaml"
 FIT = "planned"
-OF_SPECTRA = "dynamic-stiffness"
 SI_UNITS = {"force": "N", "displacement": "m", "acceleration": "m/s^2"}
 
 
@@ -65,15 +64,15 @@ class Evaluation:
     @property
     def side_by_side(self) -> bool:
         """Whether spectra of all channels evaluate the test: a stator, or shakers that run at once."""
-        return self.settings.kind.floating or any(len(test.shakers) > 1 for test in self.tests)
+        return self.settings.floating or any(len(test.shakers) > 1 for test in self.tests)
 
 
 def check_rig(rig: Rig, settings: PlanSettings, shakers: Sequence[str]) -> None:
     """ConfigError unless the rig has a force for every shaker, or one that is moved, and every response."""
     if rig.derived:
         raise SettingError("rig", "sums of channels are not planned with", "a rig file with what is recorded")
-    axes = settings.kind.axes
-    needed = ("displacement", "acceleration") if settings.kind.floating else ("displacement",)
+    axes = settings.axes
+    needed = ("displacement", "acceleration") if settings.floating else ("displacement",)
     outputs = [channel.channel for channel in rig.channels if channel.channel.role == "output"]
     for quantity in needed:
         dofs = [channel.dof for channel in outputs if channel.quantity == quantity]
@@ -102,8 +101,8 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     forces = [("f", "force", shakers[0])]
     if evaluation.side_by_side:
         forces = [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
-    motions = [(axis, "displacement", axis) for axis in settings.kind.axes]
-    moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.kind.axes if settings.kind.floating]
+    motions = [(axis, "displacement", axis) for axis in settings.axes]
+    moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.axes if settings.floating]
     return {
         "name": evaluation.title,
         "sample_rate": f"{settings.sample_rate!r} Hz",
@@ -155,7 +154,7 @@ def _moved_force(evaluation: Evaluation) -> tuple[str, str] | None:
         return None
     if evaluation.rig_path is None:
         return ("f", "") if len(evaluation.tests) > 1 else None
-    if len(settings.kind.axes) == 1:
+    if len(settings.axes) == 1:
         return None
     assert settings.sensors is not None
     forces = forces_of(settings.sensors)
@@ -174,11 +173,11 @@ def _fit(evaluation: Evaluation) -> dict[str, Any]:
         return {"model": settings.model, "mass": "estimate" if number is None else uncertain_text(number)}
     entries = {"form": "kcm" if evaluation.with_masses else "kc"}
     # Displacements of a rotor are absolute; those of a floating stator are against its shaft.
-    if not settings.kind.floating:
+    if not settings.floating:
         entries["motion"] = "absolute"
     if number is not None:
         entries["stator_mass"] = uncertain_text(number)
-    return {"model": OF_SPECTRA, "dynamic_stiffness": entries}
+    return {"model": FLOATING, "dynamic_stiffness": entries}
 
 
 def uncertain_text(number: Uncertain, unit: str = "kg") -> str:
@@ -202,7 +201,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
     settings: PlanSettings = file.settings
     sensors = settings.sensors
     if sensors is not None:
-        check_rig(sensors, settings, settings.shakers or settings.kind.axes)
+        check_rig(sensors, settings, settings.shakers or settings.axes)
     of_sensors = sensors is not None and any(entry.channel.uncertainties for entry in sensors.channels)
     if not of_sensors and not settings.uncertainties:
         return None
@@ -210,7 +209,7 @@ def rehearsal(file: PlanFile) -> Rehearse | None:
     def budget(rig: LimitedRig, tests: Sequence[Multisines], periods: Sequence[int]) -> Budget | None:
         pairs = zip(tests, periods, strict=True)
         planned = tuple(planned_test(rig, test, number, 1) for test, number in pairs)
-        with_masses = any(name[0] == "m" for name in rig.model.names)
+        with_masses = UNITS["m"] in rig.model.units
         evaluation = Evaluation(settings, file.title, planned, with_masses, rig_path(file))
         with tempfile.TemporaryDirectory() as folder:
             pipeline = _load(evaluation, Path(folder))
@@ -263,7 +262,7 @@ def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], l
     write_plan(output.write_path(NAME), plan)
     content: bytes = DOCUMENTS.load("html")(plan_document(plan, __version__))
     output.write_path(REPORT).write_bytes(content)
-    with_masses = any(c.name[0] == "m" for c in plan.coefficients)
+    with_masses = UNITS["m"] in [c.unit for c in plan.coefficients]
     evaluation = Evaluation(settings, file.title, plan.tests, with_masses, rig_path(file))
     files = {PIPELINE: pipeline_entries(evaluation, output.target.absolute())}
     files |= {RIG: rig_entries(evaluation)} if evaluation.rig_path is None else {}
@@ -292,7 +291,7 @@ def _read_expected(file: PlanFile) -> Expected:
 
 
 def _is_coefficient(parameter: Parameter) -> bool:
-    return not parameter.derived and parameter.name[0] in "kcm"
+    return not parameter.derived and parameter.unit in UNITS.values()
 
 
 def earlier_uncertainties(fit: Fit, typed: Container[str] = ()) -> Earlier:

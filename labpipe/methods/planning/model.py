@@ -9,18 +9,25 @@ in the spectrum and in time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import SettingError
+from labpipe.errors import ConfigError, SettingError
+from labpipe.estimation.model import DynamicModel, Setup
+from labpipe.estimation.settings import MODELS, FitSettings, model_kind
+from labpipe.records.response import Port
+from labpipe.records.rig import AXIS_ANGLES
+from labpipe.records.settings import ESTIMATE
+from labpipe.spectra.settings import SPECTRA
 
 AXES = ("x", "y")
+# Of a stator against its shaft.
+FLOATING = "dynamic-stiffness"
 UNITS = {"k": "N/m", "c": "N.s/m", "m": "kg"}
-LETTERS = ("k", "c", "m")
 # A coefficient expected to be zero, or nearly so, is compared with this share of the largest of its kind.
 LEAST_SHARE = 0.01
 
@@ -28,15 +35,16 @@ LEAST_SHARE = 0.01
 @dataclass(frozen=True)
 class PlannedModel:
     """A model linear in its coefficients, with the values *expected* (n_coefficient,) [N/m, N.s/m, kg] of
-    those in *names*.
+    those in *names*, in *units*.
 
-    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M; given (3, n_dof,
-    n_dof) [N/m, N.s/m, kg]: the rest of D; stator_mass [kg]: M_s of the balance, zero where no
-    acceleration is measured.
+    elements (n_coefficient, 3, n_dof, n_dof) [1]: places of each coefficient in K, C and M, complex of a
+    structural damping; given (3, n_dof, n_dof) [N/m, N.s/m, kg]: the rest of D; stator_mass [kg]: M_s of the
+    balance, zero where no acceleration is measured.
     """
 
     kind: str
     names: tuple[str, ...]
+    units: tuple[str, ...]
     expected: FloatArray
     elements: FloatArray
     given: FloatArray
@@ -47,8 +55,11 @@ class PlannedModel:
         return self.given.shape[-1]
 
     @property
-    def units(self) -> tuple[str, ...]:
-        return tuple(UNITS[name[0]] for name in self.names)
+    def by_spectra(self) -> bool:
+        """Whether a fit of the spectra of all channels has these coefficients, so that shakers may run at
+        once.
+        """
+        return self.names == matrix_names("kcm" if UNITS["m"] in self.units else "kc")
 
     @property
     def scales(self) -> FloatArray:
@@ -56,8 +67,8 @@ class PlannedModel:
         of the largest of its kind.
         """
         sizes = np.abs(self.expected)
-        letters = np.array([name[0] for name in self.names])
-        largest = np.array([sizes[letters == letter].max() for letter in letters])
+        units = np.array(self.units)
+        largest = np.array([sizes[units == unit].max() for unit in units])
         return np.maximum(sizes, LEAST_SHARE * np.where(largest > 0, largest, 1.0))
 
     def elements_at(self, omega: FloatArray) -> ComplexArray:
@@ -85,14 +96,23 @@ class PlannedModel:
             return None
         inverse, none = np.linalg.inv(mass), np.zeros_like(mass)
         free = np.block([[none, np.eye(self.n_dof)], [-inverse @ stiffness, -inverse @ damping]])
+        if np.iscomplexobj(free):
+            # A complex stiffness is that of positive frequencies: its modes, and their conjugates.
+            poles, states = np.linalg.eig(free)
+            poles, states = poles[poles.imag > 0], states[:, poles.imag > 0]
+            if poles.size != self.n_dof:
+                return None
+            both = np.hstack([states, states.conj()])
+            free = (both * np.concatenate([poles, poles.conj()]) @ np.linalg.inv(both)).real
         return free if np.all(np.linalg.eigvals(free).real < 0) else None
 
     def with_known_mass(self) -> PlannedModel:
         """The model with all masses given at their expected values."""
-        kept = np.array([name[0] != "m" for name in self.names])
-        fixed = np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
-        parts = {"expected": self.expected[kept], "elements": self.elements[kept]}
-        return replace(self, names=tuple(compress(self.names, kept)), given=self.given + fixed, **parts)
+        kept = np.array([unit != UNITS["m"] for unit in self.units])
+        given = self.given + np.einsum("n,nkij->kij", self.expected[~kept], self.elements[~kept])
+        names, units = (tuple(compress(of_all, kept)) for of_all in (self.names, self.units))
+        parts = {"expected": self.expected[kept], "elements": self.elements[kept], "given": given}
+        return replace(self, names=names, units=units, **parts)
 
     def with_values(self, values: FloatArray) -> PlannedModel:
         """The model with other expected values (n_coefficient,) [N/m, N.s/m, kg]."""
@@ -104,59 +124,85 @@ def _powers(omega: FloatArray) -> ComplexArray:
     return np.stack([np.ones_like(omega), 1j * omega, -(omega**2)], axis=-1)
 
 
-def sdof(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A pedestal, F = (k + jwc - w^2 m) X: k [N/m], c [N.s/m] and, unless *mass* [kg] is known, m [kg].
-    ConfigError for other names.
+def excitable_models() -> tuple[str, ...]:
+    """The models that forces of a plan identify: those linear in their coefficients, of plug-ins as well."""
+    kinds = {name: model_kind(name) for name in MODELS}
+    return tuple(name for name, kind in kinds.items() if kind.equations is not None and not kind.of_base)
+
+
+def is_floating(name: str) -> bool:
+    """Whether a model balances the forces of all channels, as of a stator against its shaft."""
+    return model_kind(name).of == SPECTRA
+
+
+def axes_of_model(name: str, expected: Collection[str] = (), n_shaker: int = 1) -> tuple[str, ...]:
+    """The directions of a model: x alone, or x and y where it takes no single one, several shakers run, or
+    coefficients are *expected* that one direction does not have.
     """
-    wanted = ("k", "c") if mass is not None else ("k", "c", "m")
-    values = _values(expected, wanted)
-    elements = np.eye(len(wanted), 3)[:, :, None, None]
-    return PlannedModel("sdof", wanted, values, elements, np.array([0.0, 0.0, mass or 0.0])[:, None, None])
+    if is_floating(name):
+        return AXES
+    known = {}
+    for axes in (AXES[:1], AXES):
+        try:
+            known[axes] = set(_equations(name, 1.0, axes).names)
+        except ConfigError:
+            continue
+    # A mass that is not given is a coefficient as well.
+    wanted = {coefficient for coefficient in expected if coefficient != "m"}
+    able = [axes for axes, names in known.items() if len(axes) >= n_shaker and wanted <= names]
+    return next(iter((*able, *known)), AXES)
 
 
-def rotor(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
-    """A rotor in x and y, k_xx ... c_yy [N/m, N.s/m], and its *mass* [kg]; ConfigError without it."""
-    if mass is None:
-        what = "model rotor-2dof needs the mass of the rotor"
-        raise SettingError("mass", what, "for example mass: 0.92 kg")
-    inertia = np.stack([np.zeros((2, 2)), np.zeros((2, 2)), mass * np.eye(2)])
-    return _matrix_model("rotor-2dof", "kc", expected, inertia)
+def planned_model(
+    name: str, expected: Mapping[str, float], mass: float | None = None, axes: Sequence[str] = ()
+) -> PlannedModel:
+    """A model of fits with its *expected* coefficients [N/m, N.s/m, kg] and *mass* [kg], estimated where the
+    model allows it. *axes*: its directions, by default those of `axes_of_model`. ConfigError for other names,
+    without a mass that is needed, and where the forces of the model have factors of their own.
+    """
+    if is_floating(name):
+        return _floating(name, expected, mass)
+    axes = axes or axes_of_model(name, expected)
+    try:
+        model = _equations(name, mass, axes)
+    except ConfigError as error:
+        field, hint = ("mass", "for example mass: 0.92 kg") if mass is None else ("model", error.hint)
+        raise SettingError(field, error.what, hint) from None
+    parts = [term.matrices for term in model.terms]
+    if any(np.any(part.force) for part in parts) or not np.allclose(model.constant.force, np.eye(len(axes))):
+        what = f"model {name} has forces with factors of their own, which no plan knows"
+        raise SettingError("model", what, f"known: {', '.join(excitable_models())}")
+    elements, given = (
+        np.array([[part.stiffness, part.damping, part.mass] for part in group])
+        for group in (parts, [model.constant])
+    )
+    return PlannedModel(name, model.names, model.units, _values(expected, model.names), elements, given[0])
 
 
-def floating(expected: Mapping[str, float], mass: float | None = None) -> PlannedModel:
+def _equations(name: str, mass: float | None, axes: Sequence[str]) -> DynamicModel:
+    """The equations of a model linear in its coefficients, under one force along each axis."""
+    ports = tuple(Port(axis, axis, axis, AXIS_ANGLES[axis]) for axis in axes)
+    settings = FitSettings(name, mass=ESTIMATE if mass is None else mass)
+    return model_kind(name).model(Setup(ports, ports, settings))
+
+
+def _floating(name: str, expected: Mapping[str, float], mass: float | None) -> PlannedModel:
     """A floating stator of *mass* M_s [kg], F - M_s A = (K + jwC - w^2 M) X: eight coefficients, or twelve
     where masses are expected. ConfigError without the stator's mass, or for unknown coefficients.
     """
     if mass is None:
-        what = "model dynamic-stiffness needs the mass of the stator"
+        what = f"model {name} needs the mass of the stator"
         raise SettingError("mass", what, "for example mass: 60 kg")
-    letters = "kcm" if any(name.startswith("m") for name in expected) else "kc"
-    return _matrix_model("dynamic-stiffness", letters, expected, np.zeros((3, 2, 2)), mass)
-
-
-@dataclass(frozen=True)
-class PlannedKind:
-    """model: from expected coefficients and mass; floating: against its shaft, with accelerations."""
-
-    model: Callable[[Mapping[str, float], float | None], PlannedModel]
-    axes: tuple[str, ...] = AXES
-    floating: bool = False
-
-
-MODELS = {
-    "sdof": PlannedKind(sdof, axes=("x",)),
-    "rotor-2dof": PlannedKind(rotor),
-    "dynamic-stiffness": PlannedKind(floating, floating=True),
-}
-
-
-def _matrix_model(
-    kind: str, letters: str, expected: Mapping[str, float], given: FloatArray, stator_mass: float = 0.0
-) -> PlannedModel:
-    """A model whose coefficients are all of the matrices of these letters."""
-    names = tuple(f"{letter}_{row}{column}" for letter in letters for row in AXES for column in AXES)
+    letters = "kcm" if any(coefficient.startswith("m") for coefficient in expected) else "kc"
+    names = matrix_names(letters)
     elements = np.eye(len(names), 12).reshape(-1, 3, 2, 2)
-    return PlannedModel(kind, names, _values(expected, names), elements, given, stator_mass)
+    units = tuple(UNITS[coefficient[0]] for coefficient in names)
+    return PlannedModel(name, names, units, _values(expected, names), elements, np.zeros((3, 2, 2)), mass)
+
+
+def matrix_names(letters: str) -> tuple[str, ...]:
+    """Names of all coefficients of two-by-two matrices: k_xx, k_xy ... for the letters k, c, m."""
+    return tuple(f"{letter}_{row}{column}" for letter in letters for row in AXES for column in AXES)
 
 
 def _values(expected: Mapping[str, float], names: tuple[str, ...]) -> FloatArray:

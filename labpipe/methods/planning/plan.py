@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import SettingError
 from labpipe.methods.planning import campaigns
-from labpipe.methods.planning.model import AXES, PlannedModel, SensorDensities
+from labpipe.methods.planning.model import AXES, PlannedModel, SensorDensities, planned_model
 from labpipe.methods.planning.records import Plan, PlannedCoefficient, PlannedTest
 from labpipe.methods.planning.runs import LONGEST, least_factor
 from labpipe.methods.planning.search import (
@@ -122,7 +122,7 @@ def make_plan(
     """
     question = _question(settings, expected, title, rehearse)
     rig, wanted = question.rig, question.wanted
-    design = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings)))
+    design = best(rig, question.lines, wanted, schemes_of(len(rig.shakers), _scheme(settings, rig.model)))
     periods = _periods(settings, design.campaign)
     skip = _skip(settings, rig, design.campaign, periods)
     lengths = [(skip + number) * settings.period for number in periods]
@@ -144,7 +144,7 @@ def make_plan(
 
 
 def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: Rehearse | None) -> _Question:
-    model = settings.kind.model(expected.values, settings.mass)
+    model = planned_model(settings.model, expected.values, settings.mass, settings.axes)
     rig, lines, goals = bench(settings, model), planned_lines(settings), goals_of(settings, model)
     if not (settings.combine_earlier and expected.earlier is not None):
         _check_identifiable(rig, lines)
@@ -170,12 +170,14 @@ def _question(settings: PlanSettings, expected: Expected, title: str, rehearse: 
     return _Question(settings, title, rig, lines, goals, wanted, flats)
 
 
-def _scheme(settings: PlanSettings) -> str:
-    if len(settings.shakers) == 1 or len(settings.kind.axes) == 1 or not _one_force(settings):
+def _scheme(settings: PlanSettings, model: PlannedModel) -> str:
+    one_force = _one_force(settings)
+    if len(settings.shakers) == 1 or model.n_dof == 1 or not (one_force or not model.by_spectra):
         return settings.scheme
     if settings.scheme not in (BEST, campaigns.ONE_BY_ONE):
-        hint = f"scheme: {campaigns.ONE_BY_ONE}, or a force for every shaker"
-        raise SettingError("scheme", "the rig has one force", hint)
+        hint = f"scheme: {campaigns.ONE_BY_ONE}" + (", or a force for every shaker" if one_force else "")
+        what = "the rig has one force" if one_force else f"model {settings.model} is fitted to FRFs"
+        raise SettingError("scheme", what, hint)
     return campaigns.ONE_BY_ONE
 
 

@@ -16,7 +16,7 @@ from labpipe.document.render import DOCUMENTS
 from labpipe.errors import ConfigError, DataError, LabpipeError, shorten
 from labpipe.methods.planning.records import Plan, RunPlan
 from labpipe.methods.planning.report import run_plan_document, runs_csv, runs_table
-from labpipe.methods.planning.settings import PLANS, PlanKind
+from labpipe.methods.planning.settings import PlanKind, plan_kinds
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.schema import kinds_schema
 from labpipe.project.settings_reader import DECIDE, Faults, read_settings
@@ -27,7 +27,7 @@ KEYS = ("title", "plan")
 
 
 def plan_schema() -> dict[str, Any]:
-    plan = kinds_schema("plan", "model", {name: PLANS.load(name).settings for name in PLANS})
+    plan = kinds_schema("plan", "model", {name: kind.settings for name, kind in plan_kinds().items()})
     head = {name: plan.pop(name) for name in ("$schema", "title")}
     properties = {"title": {"type": "string"}, "plan": plan}
     entries = {"type": "object", "properties": properties, "required": ["plan"]}
@@ -73,7 +73,7 @@ def _sort_theory(node: Marked) -> None:
 
 def _kind(node: Marked, faults: Faults) -> PlanKind | None:
     entries = faults.mapping(node, "plan")
-    kinds = PLANS.names()
+    kinds = plan_kinds()
     if "model" not in entries or entries["model"].text == DECIDE:
         faults.add(node, "plan.model", "is missing", f"known: {', '.join(kinds)}")
         return None
@@ -81,7 +81,7 @@ def _kind(node: Marked, faults: Faults) -> PlanKind | None:
     if name not in kinds:
         faults.add(entries["model"], "plan.model", f"unknown model '{name}'", nearest(name, kinds))
         return None
-    return PLANS.load(name)
+    return kinds[name]
 
 
 NAME = "plan.json"

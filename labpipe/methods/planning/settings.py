@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -9,13 +10,13 @@ from typing import Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.planning.campaigns import SCHEMES
 from labpipe.methods.planning.designs import CRITERIA, MINIMAX
-from labpipe.methods.planning.model import MODELS, PlannedKind
+from labpipe.methods.planning.model import FLOATING, axes_of_model, excitable_models, is_floating
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Settings, Uncertainties, choice, quantity, section, setting, text
 from labpipe.registry import Registry
 
-# What can be planned, by the model that will be identified.
+# What else can be planned than the excitation of a model linear in its coefficients.
 PLANS = Registry("plan")
 
 
@@ -25,6 +26,14 @@ class PlanKind:
 
     settings: type[Any]
     files: Callable[[Any, Any], tuple[list[str], list[str]]]
+
+
+def plan_kinds() -> dict[str, PlanKind]:
+    """What can be planned, by the model that will be identified."""
+    from labpipe.methods.planning.excitation import EXCITATION
+
+    excited = dict.fromkeys(excitable_models(), EXCITATION)
+    return {**excited, FLOATING: EXCITATION, **{name: PLANS.load(name) for name in PLANS}}
 
 
 BEST = "best"
@@ -116,7 +125,7 @@ class SignalSettings(Settings):
 class PlanSettings(SignalSettings):
     """What is to be determined, with which rig, within which limits."""
 
-    model: str = choice("what will be identified", tuple(MODELS))
+    model: str = choice("what will be identified", (*excitable_models(), FLOATING))
     _: KW_ONLY
     band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
     duration: float = quantity("of all measured periods together", "s")
@@ -191,8 +200,13 @@ class PlanSettings(SignalSettings):
             raise SettingError("period", what, "change `period` or `sample_rate`")
 
     @property
-    def kind(self) -> PlannedKind:
-        return MODELS[self.model]
+    def floating(self) -> bool:
+        return is_floating(self.model)
+
+    @functools.cached_property
+    def axes(self) -> tuple[str, ...]:
+        """The directions of forces and responses."""
+        return axes_of_model(self.model, dict(self.expected), len(self.shakers))
 
     def _check_expected(self) -> None:
         if not self.expected and not self.earlier and self.theory is None:
@@ -200,6 +214,6 @@ class PlanSettings(SignalSettings):
             raise SettingError("expected", "nothing is expected", hint)
         if self.combine_earlier and not self.earlier:
             raise SettingError("combine_earlier", "there is no earlier result to combine", "earlier: FILE")
-        if self.theory is not None and len(self.kind.axes) == 1:
+        if self.theory is not None and len(self.axes) == 1:
             hint = "state k and c of the pedestal under `expected`"
             raise SettingError("theory", "theory gives matrices", hint)

@@ -19,7 +19,7 @@ from labpipe.errors import SettingError
 from labpipe.methods.planning import plan
 from labpipe.methods.planning.campaigns import INTERLEAVED, TOGETHER, Multisines, PlannedRig
 from labpipe.methods.planning.excitation import PIPELINE, RIG, Evaluation, pipeline_entries, rig_entries
-from labpipe.methods.planning.model import AXES, MODELS, UNITS, PlannedModel
+from labpipe.methods.planning.model import AXES, FLOATING, UNITS, PlannedModel, matrix_names, planned_model
 from labpipe.methods.planning.plan_file import PlanFile, write_runs
 from labpipe.methods.planning.records import PlannedRun, PlannedTest
 from labpipe.methods.planning.report import run_names, run_sentences
@@ -39,8 +39,7 @@ from labpipe.records.settings import choice, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
-FLOATING = "dynamic-stiffness"
-COEFFICIENTS = tuple(f"{letter}_{row}{column}" for letter in "kc" for row in AXES for column in AXES)
+COEFFICIENTS = matrix_names("kc")
 
 
 @dataclass(frozen=True)
@@ -303,7 +302,7 @@ def planned_states(
         steps = np.array([2 * STEP * number.value for number in common])
         slopes = ((values[1::2] - values[2::2]) / steps[:, None]).T
         expected = dict(zip(COEFFICIENTS, values[0].tolist(), strict=True))
-        model = MODELS[FLOATING].model(expected, settings.mass)
+        model = planned_model(FLOATING, expected, settings.mass)
         name = f"{load:g}N-{60 * speed:g}rpm".replace(".", "p")
         states.append(BearingState(name, load, speed, model, slopes))
     return states

@@ -21,7 +21,13 @@ from labpipe.display import difference_in, per_cent, shown_unit
 from labpipe.distributions import coverage_factor
 from labpipe.errors import SettingError
 from labpipe.methods.planning import campaigns
-from labpipe.methods.planning.model import PlannedModel, SensorDensities, relative_errors, sensitivities
+from labpipe.methods.planning.model import (
+    UNITS,
+    PlannedModel,
+    SensorDensities,
+    relative_errors,
+    sensitivities,
+)
 from labpipe.methods.planning.records import PlannedCoefficient
 from labpipe.methods.planning.settings import EXPANDED, PlanSettings
 from labpipe.raw_files.excitation import peaks
@@ -104,7 +110,7 @@ def _rank(model: PlannedModel, noise: SensorDensities, excitation: ForceVectors)
 def _changes(
     model: PlannedModel, excitation: ForceVectors
 ) -> Iterator[tuple[str, PlannedModel, ForceVectors]]:
-    if any(name.startswith("m") for name in model.names):
+    if UNITS["m"] in model.units:
         yield "a known mass", model.with_known_mass(), excitation
     frequency, forces = excitation.frequency, excitation.forces
     lines = np.unique(frequency)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.methods.planning.model import PlannedModel, SensorDensities, floating, rotor, sdof
+from labpipe.methods.planning.model import PlannedModel, SensorDensities, planned_model
 
 # The pedestal and the rotor of sample_data/hmb (Lim et al. 2009; truth.json there), the seal of
 # configs/virtual-floating.yaml.
@@ -32,7 +32,7 @@ SEAL = {
 def pedestal() -> tuple[PlannedModel, SensorDensities, np.ndarray]:
     """Model, noise and lines [Hz]."""
     return (
-        sdof(PEDESTAL, 0.79),
+        planned_model("sdof", PEDESTAL, 0.79),
         SensorDensities.of_samples(0.02, 0.3e-6, 0.0, 2000.0),
         np.arange(20, 120, 0.5),
     )
@@ -41,7 +41,7 @@ def pedestal() -> tuple[PlannedModel, SensorDensities, np.ndarray]:
 def rig_rotor() -> tuple[PlannedModel, SensorDensities, np.ndarray]:
     """Model, noise and lines [Hz]."""
     return (
-        rotor(ROTOR, 0.92),
+        planned_model("rotor-2dof", ROTOR, 0.92),
         SensorDensities.of_samples(0.02, 0.3e-6, 0.0, 2000.0),
         np.arange(5.0, 250.0, 1.0),
     )
@@ -50,7 +50,7 @@ def rig_rotor() -> tuple[PlannedModel, SensorDensities, np.ndarray]:
 def seal() -> tuple[PlannedModel, SensorDensities, np.ndarray]:
     """Model, noise and lines [Hz]."""
     return (
-        floating(SEAL, 60.0),
+        planned_model("dynamic-stiffness", SEAL, 60.0),
         SensorDensities.of_samples(2.0, 0.2e-6, 0.05, 1000.0),
         np.arange(10.0, 101.0, 1.0),
     )

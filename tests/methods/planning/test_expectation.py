@@ -11,7 +11,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.campaigns import ONE_BY_ONE
-from labpipe.methods.planning.model import relative_errors, sdof
+from labpipe.methods.planning.model import planned_model, relative_errors
 from labpipe.methods.planning.plan import make_plan, planned_lines, time_needed
 from labpipe.methods.planning.search import LEAST_CREST, flat
 from labpipe.methods.planning.settings import NoiseSettings, PlanSettings
@@ -62,7 +62,7 @@ def test_systematic_errors_that_both_tests_have_are_no_knowledge_of_one() -> Non
     earlier = Earlier(NAMES, NOISE, ("probe", "shaker"), changes)
     np.testing.assert_allclose(earlier.covariance(), NOISE + changes.T @ changes)
     np.testing.assert_allclose(earlier.covariance(["probe"]), NOISE + np.outer(changes[1], changes[1]))
-    model = sdof(PEDESTAL, 0.79)
+    model = planned_model("sdof", PEDESTAL, 0.79)
     known = earlier.information_beside(model, 20.0, ["probe", "shaker"])
     np.testing.assert_allclose(relative_errors(known.information), [0.02, 0.05])
     # A typed coefficient is taken as it is.

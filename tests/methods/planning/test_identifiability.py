@@ -8,9 +8,8 @@ import pytest
 from labpipe.methods.planning.model import (
     PlannedModel,
     SensorDensities,
+    planned_model,
     relative_errors,
-    rotor,
-    sdof,
     sensitivities,
     vector_information,
 )
@@ -30,7 +29,7 @@ def _found(model: PlannedModel, lines: list[float] | np.ndarray, directions: np.
 
 
 def test_one_line_gives_two_numbers_of_a_pedestal() -> None:
-    model = sdof({**PEDESTAL, "m": 0.79})
+    model = planned_model("sdof", {**PEDESTAL, "m": 0.79})
     found = _found(model, [65.0], np.eye(1, dtype=complex))
     assert (found.rank, found.undetermined) == (2, ("k", "m"))
     assert found.words == "the excitation determines 2 of 3 coefficients; not told apart: k, m"
@@ -46,15 +45,14 @@ def test_eight_coefficients() -> None:
     assert _found(model, [60.0], AXES).full
     assert _found(model, [60.0, 61.0], AXES[:1]).full
     # Without cross terms a force in x moves nothing in y: what answers to y is not told.
-    straight = _found(
-        rotor({**ROTOR, "k_xy": 0.0, "k_yx": 0.0, "c_xy": 0.0, "c_yx": 0.0}, 0.92), lines, AXES[:1]
-    )
+    uncoupled = {**ROTOR, "k_xy": 0.0, "k_yx": 0.0, "c_xy": 0.0, "c_yx": 0.0}
+    straight = _found(planned_model("rotor-2dof", uncoupled, 0.92), lines, AXES[:1])
     assert (straight.rank, straight.undetermined) == (4, ("k_xy", "k_yy", "c_xy", "c_yy"))
 
 
 def test_forces_at_45_degrees_on_a_symmetric_rig() -> None:
     _, _, lines = rig_rotor()
-    found = _found(rotor(SYMMETRIC, 0.92), lines, OBLIQUE)
+    found = _found(planned_model("rotor-2dof", SYMMETRIC, 0.92), lines, OBLIQUE)
     assert found.rank == 4
     assert found.remedies == ("a second direction of force",)
     assert found.remedy == "a second direction of force would determine all"
@@ -98,13 +96,13 @@ def test_forces_at_45_degrees_on_a_rig_that_is_nearly_symmetric(
     for anisotropy, expected in zip((0.01, 0.03, 0.1), ratios, strict=True):
         both = 1 + anisotropy
         values = {**SYMMETRIC, "k_yy": 180e3 * both, "c_xx": damping, "c_yy": damping * both}
-        sensitivity = sensitivities(rotor(values, 0.92), force_alone, 2 * np.pi * lines)
+        sensitivity = sensitivities(planned_model("rotor-2dof", values, 0.92), force_alone, 2 * np.pi * lines)
         spread = [np.tile(direction, (lines.size, 1)) for direction in AXES / np.sqrt(2)]
         apart = sum(vector_information(sensitivity, forces).sum(axis=0) for forces in spread)
         oblique = vector_information(sensitivity, np.tile(OBLIQUE[0], (lines.size, 1))).sum(axis=0)
         # Errors in units of the largest of their kind, so that terms expected as zero count alike.
         largest = np.array([value for value in (180e3 * both, damping * both) for _ in range(4)])
-        scale = largest / rotor(values, 0.92).scales
+        scale = largest / planned_model("rotor-2dof", values, 0.92).scales
         found = (relative_errors(oblique) / scale).max() / (relative_errors(apart) / scale).max()
         assert found == pytest.approx(expected, rel=0.06)
         assert found == pytest.approx(

@@ -13,9 +13,8 @@ from labpipe.errors import ConfigError
 from labpipe.methods.planning.model import (
     PlannedModel,
     SensorDensities,
+    planned_model,
     relative_errors,
-    rotor,
-    sdof,
     sensitivities,
     vector_information,
 )
@@ -87,7 +86,7 @@ def test_a_force_that_is_not_recorded_has_no_noise(axis: int) -> None:
 def test_stiffness_of_a_spring_alone() -> None:
     # D = k, noise of force alone: k = F / X with the relative error of F, |n_F| / |F|: I = |F|^2 / S_F^2 per
     # second.
-    model = sdof({"k": 2e4, "c": 0.0}, 0.0)
+    model = planned_model("sdof", {"k": 2e4, "c": 0.0}, 0.0)
     (found,) = vector_information(
         sensitivities(model, SensorDensities(force=0.1), np.array([10.0])), np.array([[3.0 + 0j]])
     )
@@ -119,10 +118,10 @@ def test_a_coefficient_without_information_has_no_error() -> None:
 
 def test_what_is_missing_is_said() -> None:
     with pytest.raises(ConfigError, match="no value is expected for c"):
-        sdof({"k": 1.0}, 1.0)
+        planned_model("sdof", {"k": 1.0}, 1.0)
     with pytest.raises(ConfigError, match="no coefficient m"):
-        sdof({"k": 1.0, "c": 1.0, "m": 1.0}, 1.0)
-    with pytest.raises(ConfigError, match="needs the mass of the rotor"):
-        rotor({}, None)
+        planned_model("sdof", {"k": 1.0, "c": 1.0, "m": 1.0}, 1.0)
+    with pytest.raises(ConfigError, match="needs the known mass"):
+        planned_model("rotor-2dof", {}, None)
     with pytest.raises(ConfigError, match="no sensor has noise"):
         SensorDensities()

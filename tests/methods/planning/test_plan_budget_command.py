@@ -16,7 +16,7 @@ import yaml
 
 from labpipe.methods.planning.campaigns import INTERLEAVED, ONE_BY_ONE, PlannedRig, RigLimits
 from labpipe.methods.planning.excitation import rehearsal
-from labpipe.methods.planning.model import MODELS, UNITS, SensorDensities
+from labpipe.methods.planning.model import UNITS, SensorDensities, planned_model
 from labpipe.methods.planning.plan_file import load_plan, read_plan
 from labpipe.methods.planning.records import Plan
 from labpipe.methods.planning.search import LEAST_CREST, SCHROEDER, flat
@@ -98,7 +98,7 @@ def budget_of(folder: Path, entries: dict[str, Any], rig: dict[str, Any], lines:
     file = load_plan(write(folder, entries, rig))
     rehearse = rehearsal(file)
     assert rehearse is not None
-    model = MODELS["sdof"].model(dict(file.settings.expected), file.settings.mass)
+    model = planned_model("sdof", dict(file.settings.expected), file.settings.mass)
     bench = PlannedRig(
         model,
         SensorDensities.of_samples(0.02, 0.3e-6, 0.0, 500.0),
@@ -177,7 +177,7 @@ def carry_out(plan: Plan, folder: Path, seed: int) -> None:
     """Recordings in volts of the plan's signal files on the expected rig, with the noise that the plan
     assumes.
     """
-    model = MODELS[plan.model].model({c.name: c.expected for c in plan.coefficients}, plan.mass)
+    model = planned_model(plan.model, {c.name: c.expected for c in plan.coefficients}, plan.mass)
     rng = np.random.default_rng(seed)
     (folder / "recordings").mkdir()
     for test in plan.tests:

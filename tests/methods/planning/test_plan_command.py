@@ -5,7 +5,9 @@ simulated rig.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +18,10 @@ from scipy.signal import cont2discrete, lfilter
 
 from labpipe.artefacts.json_file import entry_of
 from labpipe.errors import DataError
+from labpipe.estimation.settings import MODELS
 from labpipe.methods.floating_bearing.virtual_rig import FilmCondition, FloatingRig, coefficients, motions
 from labpipe.methods.journal_bearing.kind import JournalSettings
-from labpipe.methods.planning.model import MODELS
+from labpipe.methods.planning.model import planned_model
 from labpipe.methods.planning.plan_file import read_plan
 from labpipe.methods.planning.records import Plan
 from labpipe.quantities import parse_value
@@ -68,7 +71,7 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
     plan assumes.
     """
     expected = {c.name: c.expected for c in plan.coefficients}
-    model = MODELS[plan.model].model(expected, plan.mass)
+    model = planned_model(plan.model, expected, plan.mass)
     rng = np.random.default_rng(seed)
     (folder / "recordings").mkdir()
     for test in plan.tests:
@@ -133,6 +136,55 @@ def test_a_test_carried_out_as_planned(
     assert second.gain_range is not None
     values = {c.name: c.expected for c in second.coefficients}
     assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
+
+
+@pytest.mark.parametrize("mass", ["0.79 kg", ""])
+def test_a_model_of_a_plugin_is_planned_and_evaluated(
+    labpipe: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mass: str
+) -> None:
+    """The structural damping of the page on models, F = (k + jh - w^2 m) X, in the place of one that the
+    table has. Recordings are the closed form of the planned lines with white noise; their fits state the
+    errors that were predicted, and hold. The poles of free motion are j sqrt((k + jh) / m) and its conjugate.
+    """
+    page = (ROOT / "docs/pages/extend/estimator.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n([^`]*def structural.*?)```", page, re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    monkeypatch.setitem(MODELS._loaded, "sdof", names["structural"])
+    truth = {"k": 134.5e3, "h": 1.9e3} | ({} if mass else {"m": 0.79})
+    units = {"k": "N/m", "h": "N/m", "m": "kg"}
+    expected = {name: f"{value} {units[name]}" for name, value in truth.items()}
+    entries = {**PEDESTAL, "expected": expected} | ({"mass": mass} if mass else {})
+    if not mass:
+        del entries["mass"]
+    folder = tmp_path / "planned"
+    ended = labpipe("plan", _write(tmp_path, entries), "-o", folder)
+    assert ended.code == 0, ended.err
+    plan = read_plan(folder / "plan.json")
+    (test,) = plan.tests
+    free = planned_model("sdof", truth, 0.79 if mass else None).free_motion
+    assert free is not None and np.isrealobj(free)
+    pole = 1j * np.sqrt((134.5e3 + 1.9e3j) / 0.79)
+    np.testing.assert_allclose(sorted(np.linalg.eigvals(free), key=np.imag), [pole.conj(), pole], rtol=1e-9)
+    (applied,) = (pc.read_csv(folder / name)["f [N]"].to_numpy() for name in test.files)
+    w = 2 * np.pi * np.fft.rfftfreq(applied.size, 1 / plan.sample_rate)
+    moved = np.fft.irfft(np.fft.rfft(applied) / (134.5e3 + 1.9e3j - 0.79 * w**2), applied.size)
+    rng = np.random.default_rng(3)
+    columns = {"f [N]": 0.02, "x [m]": 0.3e-6}
+    samples = {
+        name: row + sigma * rng.normal(size=row.size)
+        for (name, sigma), row in zip(columns.items(), (applied, moved), strict=True)
+    }
+    (folder / "recordings").mkdir()
+    pc.write_csv(pa.table(samples), folder / "recordings" / f"{test.name}.csv")
+    ended = labpipe("run", folder / "pipeline.yaml", "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    (fit,) = json.loads((tmp_path / "out" / "identification.json").read_text("utf-8"))["fits"]
+    found = {p["name"]: p for p in fit["parameters"]}
+    assert [c.name for c in plan.coefficients] == list(truth)
+    for c in plan.coefficients:
+        assert abs(found[c.name]["value"] - truth[c.name]) < 4 * found[c.name]["std_error"]
+        assert found[c.name]["std_error"] == pytest.approx(c.error * c.scale, rel=0.3)
 
 
 @pytest.mark.long
@@ -214,7 +266,7 @@ def test_what_is_written_obeys_the_limits(
     force_limit, displacement_limit = (
         parse_value(str(changes.get(f"{name}_limit", f"1 {unit}")), unit) for name, unit in LIMITED
     )
-    model = MODELS[plan.model].model({c.name: c.expected for c in plan.coefficients}, plan.mass)
+    model = planned_model(plan.model, {c.name: c.expected for c in plan.coefficients}, plan.mass)
     n_period, n_dof, fine = (
         round(plan.period * plan.sample_rate),
         model.n_dof,

@@ -134,11 +134,11 @@ def test_the_shift_is_that_of_a_fit_of_what_is_left(skip: int) -> None:
     periods with free motion.
     """
     from labpipe.methods.planning.campaigns import Multisines, PlannedRig, RigLimits, equal_times, settling
-    from labpipe.methods.planning.model import SensorDensities, sdof
+    from labpipe.methods.planning.model import SensorDensities, planned_model
 
     noise, spacing, periods, rate = SensorDensities(1e-3, 2e-7), 0.5, 6, 2000.0
     rig = PlannedRig(
-        sdof({"k": STIFFNESS, "c": DAMPING}, MASS),
+        planned_model("sdof", {"k": STIFFNESS, "c": DAMPING}, MASS),
         noise,
         RigLimits(1.0),
         np.ones((1, 1), complex),

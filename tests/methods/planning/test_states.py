@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.methods.planning.designs import CRITERIA
-from labpipe.methods.planning.model import floating
+from labpipe.methods.planning.model import planned_model
 from labpipe.methods.planning.runs import plan_runs
 from labpipe.methods.planning.settings import NoiseSettings
 from labpipe.methods.planning.states import (
@@ -58,7 +58,7 @@ def states() -> list[BearingState]:
     for number, (load, power) in enumerate(zip(LOADS, POWERS, strict=True)):
         values = np.array(list(FILM.values())) * (load / LOADS[0]) ** 0.7
         slopes = np.stack([power * values / 1e-4, values * np.linspace(0.5, 1.5, 8) ** number / 0.03], axis=1)
-        model = floating(dict(zip(COEFFICIENTS, values, strict=True)), 60.0)
+        model = planned_model("dynamic-stiffness", dict(zip(COEFFICIENTS, values, strict=True)), 60.0)
         found.append(BearingState(f"{load:g}N", load, 50.0, model, slopes))
     return found
 

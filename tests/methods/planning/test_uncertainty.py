@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.methods.planning.campaigns import PlannedCampaign
-from labpipe.methods.planning.model import sdof
+from labpipe.methods.planning.model import planned_model
 from labpipe.methods.planning.uncertainty import (
     Earlier,
     Goals,
@@ -74,11 +74,11 @@ def test_systematic_errors_of_two_tests_together() -> None:
     # The mean weighted by information: a source of both tests with one effect stays, one of the new test
     # alone is thinned out.
     known = Earlier(("k", "c"), np.diag(NOISE**2), ("probe",), PROBE[None]).information_beside(
-        sdof({"k": 1000.0, "c": 10.0}, 1.0), 5.0, ("probe",)
+        planned_model("sdof", {"k": 1000.0, "c": 10.0}, 1.0), 5.0, ("probe",)
     )
     # The new test tells three times as much of k, and a third of c.
     rate = np.diag(np.diagonal(known.information) * [3, 1 / 3]) / 5
-    model = sdof({"k": 1000.0, "c": 10.0}, 1.0)
+    model = planned_model("sdof", {"k": 1000.0, "c": 10.0}, 1.0)
     earlier = Earlier(("k", "c"), np.diag(NOISE**2), ("probe",), PROBE[None])
     both = combine_with_earlier(BUDGET, earlier, PlannedCampaign((), np.ones(0), rate, known), model, 5.0)
     np.testing.assert_allclose(both.changes, [PROBE, CELL * [3 / 4, 1 / 4]], rtol=1e-12)

@@ -11,7 +11,7 @@ from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.floating_bearing.settings import DynamicStiffnessSettings
 from labpipe.methods.planning.campaigns import ONE_BY_ONE, TOGETHER, PlannedRig, RigLimits
-from labpipe.methods.planning.model import SensorDensities, floating, sdof
+from labpipe.methods.planning.model import SensorDensities, planned_model
 from labpipe.methods.planning.plan import weighting_factor
 from labpipe.methods.planning.search import flat
 from labpipe.records.recording import Channel, Recording
@@ -28,11 +28,13 @@ DRAWS = 150
 def ratio(name: str, periods: int, draws: int) -> float:
     """Root of the mean square of the errors of all coefficients over their prediction."""
     if name == "sdof":
-        model, rate, period, force, scheme = sdof(PEDESTAL, 0.79), 200.0, 2.0, 1.0, ONE_BY_ONE
-        lines, noise = np.arange(130, 134), {"force": 0.02, "displacement": 0.3e-6}
+        model, rate, period = planned_model("sdof", PEDESTAL, 0.79), 200.0, 2.0
+        force, scheme, lines = 1.0, ONE_BY_ONE, np.arange(130, 134)
+        noise = {"force": 0.02, "displacement": 0.3e-6}
     else:
-        model, rate, period, force, scheme = floating(SEAL, 60.0), 250.0, 0.5, 2e3, TOGETHER
-        lines, noise = np.arange(5, 50), {"force": 2.0, "displacement": 0.2e-6, "acceleration": 0.05}
+        model, rate, period = planned_model("dynamic-stiffness", SEAL, 60.0), 250.0, 0.5
+        force, scheme, lines = 2e3, TOGETHER, np.arange(5, 50)
+        noise = {"force": 2.0, "displacement": 0.2e-6, "acceleration": 0.05}
     axes = ("x", "y")[: model.n_dof]
     density = SensorDensities.of_samples(
         noise["force"], noise["displacement"], noise.get("acceleration", 0.0), rate
