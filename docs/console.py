@@ -109,7 +109,7 @@ def run(command: Command) -> tuple[int, str]:
     With the plug-in, and other programs than labpipe, run in a process of their own: tables of choices are
     looked up once.
     """
-    from labpipe.cli.main import TABLE, run_command
+    from labpipe.cli.main import COMMANDS, run_command
 
     program, *words = command.words
     assert program in ("labpipe", "python"), command
@@ -124,7 +124,7 @@ def run(command: Command) -> tuple[int, str]:
         )
         return ended.returncode, ended.stdout + ended.stderr
     if command.parse_only:
-        TABLE[words[0]].make_context(words[0], list(words[1:]))
+        COMMANDS[words[0]].make_context(words[0], list(words[1:]))
         return 0, ""
     stream = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True)
     with contextlib.redirect_stdout(stream), contextlib.redirect_stderr(stream):

@@ -108,16 +108,16 @@ def cell(text: str) -> str:
 def commands_page() -> str:
     import click
 
-    from labpipe.cli.main import COMMANDS, TABLE, group
+    from labpipe.cli.main import COMMANDS, group
 
     codes = "Exit codes: 0 done and accepted; 1 done, but a rule fails; 2 not done."
     parts = ["# Commands", f"Every command, as `labpipe COMMAND --help` prints it. {codes}"]
     parent = click.Context(group, info_name="labpipe", terminal_width=100)
     for name in COMMANDS:
         context = click.Context(
-            TABLE[name], info_name=name, parent=parent, terminal_width=100, max_content_width=100
+            COMMANDS[name], info_name=name, parent=parent, terminal_width=100, max_content_width=100
         )
-        parts.append(f"## {name}\n\n```text\n{TABLE[name].get_help(context)}\n```")
+        parts.append(f"## {name}\n\n```text\n{COMMANDS[name].get_help(context)}\n```")
     return "\n\n".join(parts) + "\n"
 
 

@@ -4,14 +4,12 @@ name for an unknown one.
 
 from __future__ import annotations
 
-import difflib
 import functools
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from labpipe.errors import ConfigError
@@ -25,6 +23,9 @@ MOST_LISTED = 20
 
 def nearest(name: str, choices: Iterable[str]) -> str:
     """The hint for an unknown name: the nearest known name, or those that there are, up to a number."""
+    # Imported here, since `labpipe --help` needs none of it.
+    import difflib
+
     names = [str(choice) for choice in choices]
     near = difflib.get_close_matches(name, names, 1, 0.6) or [k for k in names if k.lower() == name.lower()]
     return f"did you mean '{near[0]}'?" if near else f"known: {list_names(names)}"
@@ -46,18 +47,19 @@ SHIPPED = Path(__file__).with_name("entry_points.txt")
 
 
 @functools.cache
-def _shipped_groups() -> Mapping[str, Mapping[str, str]]:
-    """Group -> name -> "module:attribute" of labpipe's own tables, read from their file: metadata of an
-    earlier installation may lie beside it.
+def _shipped_groups() -> Mapping[str, Mapping[str, tuple[str, str]]]:
+    """Group -> name -> ("module:attribute", the comment right above) of labpipe's own tables, read from their
+    file: metadata of an earlier installation may lie beside it.
     """
-    groups: dict[str, dict[str, str]] = {}
-    group = ""
+    groups: dict[str, dict[str, tuple[str, str]]] = {}
+    group = above = ""
     for line in SHIPPED.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
             group = line.strip("[]")
         elif "=" in line and not line.startswith("#"):
             name, value = (part.strip() for part in line.split("=", 1))
-            groups.setdefault(group, {})[name] = value
+            groups.setdefault(group, {})[name] = (value, above)
+        above = line.removeprefix("# ") if line.startswith("#") else ""
     return groups
 
 
@@ -115,17 +117,16 @@ class Registry:
     """A table of choices whose targets are imported when they are used: name -> target.
 
     Its entries stand in entry_points.txt, those of other packages in their own metadata, under the group
-    ``group_of(kind)``. *own*: further entries, name -> "module:attribute".
+    ``group_of(kind)``.
     """
 
-    def __init__(self, kind: str, own: Mapping[str, str] = MappingProxyType({})) -> None:
+    def __init__(self, kind: str) -> None:
         self.kind = kind
-        self._own = own
         self._loaded: dict[str, Any] = {}
 
     @property
-    def _own_and_shipped(self) -> Mapping[str, str]:
-        return {**self._own, **_shipped_groups().get(group_of(self.kind), {})}
+    def _shipped(self) -> Mapping[str, tuple[str, str]]:
+        return _shipped_groups().get(group_of(self.kind), {})
 
     @property
     def _of_others(self) -> Mapping[str, EntryPoint]:
@@ -133,20 +134,24 @@ class Registry:
 
     def names(self) -> tuple[str, ...]:
         """All known names, the built-in ones first, in the order of their file."""
-        return tuple(dict.fromkeys((*self._own_and_shipped, *self._of_others)))
+        return tuple(dict.fromkeys((*self._shipped, *self._of_others)))
 
     def load(self, name: str) -> Any:
         """The object of that name; ConfigError with the nearest known name for an unknown one."""
         if name in self._loaded:
             return self._loaded[name]
-        if name in self._own_and_shipped:
+        if name in self._shipped:
             # Asked for thousands of times in a study; entries of others may be installed anew.
-            module, attribute = self._own_and_shipped[name].split(":")
+            module, attribute = self._shipped[name][0].split(":")
             return self._loaded.setdefault(name, getattr(import_module(module), attribute))
         entry = self._of_others.get(name)
         if entry is None:
             raise ConfigError(f"unknown {self.kind} '{name}'", hint=nearest(name, self.names()))
         return entry.load()
+
+    def words(self, name: str) -> str:
+        """What entry_points.txt says above an entry; empty of other packages' entries."""
+        return self._shipped[name][1] if name in self._shipped else ""
 
     def __getitem__(self, name: str) -> Any:
         return self.load(name)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
+from labpipe import registry
 from labpipe.errors import ConfigError, ConfigErrors, DataError, FitError, LabpipeError
 from labpipe.registry import Registry, nearest
 
@@ -80,10 +81,14 @@ def test_one_letter_too_few_is_forgiven(name: str, place: int) -> None:
 # tables
 
 
-TABLE = Registry(
-    "shape of test",
-    {"circle": "math:pi", "root": "math:sqrt", "broken": "math:nothing", "missing": "no_such_module:x"},
-)
+TABLE = Registry("shape of test")
+SHAPES = {"circle": "math:pi", "root": "math:sqrt", "broken": "math:nothing", "missing": "no_such_module:x"}
+
+
+@pytest.fixture(autouse=True)
+def shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = {"labpipe.shape_of_test": {name: (target, "") for name, target in SHAPES.items()}}
+    monkeypatch.setattr(registry, "_shipped_groups", lambda: shipped)
 
 
 def test_a_table_imports_a_choice_when_it_is_used() -> None:

@@ -13,13 +13,15 @@ from labpipe import registry
 from labpipe.errors import ConfigError
 from labpipe.registry import Registry, group_of
 
-TABLE = {"own": "math:pi"}
+TABLE = {"own": ("math:pi", "what it is")}
 
 
 @pytest.fixture
 def others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of installed packages, looked at by the tables of this test alone."""
     monkeypatch.syspath_prepend(tmp_path)
+    shipped = {**registry._shipped_groups(), "labpipe.some_kind": TABLE}
+    monkeypatch.setattr(registry, "_shipped_groups", lambda: shipped)
     registry._groups_of_others.cache_clear()
     yield tmp_path
     registry._groups_of_others.cache_clear()
@@ -37,7 +39,7 @@ def installed(folder: Path, package: str, group: str, entries: Sequence[str]) ->
 def table(others: Path) -> Registry:
     """A table with one entry of its own and two added, of which one tries to take the place of its own."""
     installed(others, "labpipe_more", "labpipe.some_kind", ["more = math:tau", "own = math:e"])
-    return Registry("some kind", TABLE)
+    return Registry("some kind")
 
 
 def test_what_packages_add_stands_behind_and_never_in_place_of_what_is_there(table: Registry) -> None:
@@ -46,6 +48,7 @@ def test_what_packages_add_stands_behind_and_never_in_place_of_what_is_there(tab
     assert list(table) == ["own", "more"]
     assert table["own"] == math.pi and table["more"] == math.tau
     assert "more" in table and "none" not in table
+    assert [table.words(name) for name in table] == ["what it is", ""]
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(table: Registry) -> None:
@@ -71,7 +74,7 @@ def test_shipped_entries_keep_the_order_of_their_file_whatever_metadata_lie_besi
     installed(others, "theirs", "labpipe.fit_detail", entries)
     table = Registry("fit detail")
     assert table.names() == (*shipped, "theirs")
-    module, attribute = next(iter(shipped.values())).split(":")
+    module, attribute = next(iter(shipped.values()))[0].split(":")
     assert table.load(next(iter(shipped))) is getattr(sys.modules[module], attribute)
 
 
@@ -82,4 +85,4 @@ def test_a_package_in_an_archive_on_the_path_adds_as_one_in_a_folder_does(
     installed(others / "content", "packed", "labpipe.some_kind", ["more = math:tau"])
     archive = shutil.make_archive(str(others / "packed"), "zip", others / "content")
     monkeypatch.syspath_prepend(archive)
-    assert list(Registry("some kind", TABLE)) == ["own", "more"]
+    assert list(Registry("some kind")) == ["own", "more"]

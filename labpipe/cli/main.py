@@ -25,64 +25,28 @@ MOST_FAULTS = 40
 INTERRUPTIONS = (KeyboardInterrupt, click.Abort)
 DEBUG = "--debug"
 INTERRUPTED = "interrupted; nothing was changed"
-# Command -> its module in labpipe.cli, and what --help says of it. Methods add commands by the entry-point
-# group labpipe.command.
-COMMANDS = {
-    "init": ("start", "Scaffold a project: rig, pipeline and a sample recording; runs as it is."),
-    "inspect": ("start", "Content of a recording: channels, rate, length, gaps, clipping, levels."),
-    "ingest": ("stages", "Raw files -> calibrated recordings (SI units, findings, source checksum)."),
-    "frf": ("stages", "Recordings -> frequency responses with covariance and coherence."),
-    "identify": ("stages", "Frequency responses -> stiffness and damping with their uncertainty."),
-    "report": ("report", "Identification -> a report that opens offline."),
-    "run": ("run", "All stages of a pipeline; what is up to date is not computed again."),
-    "tests": ("run", "The names of a pipeline's tests, for schedulers of jobs."),
-    "watch": ("run", "Recordings worked on as they arrive in a folder, each exactly once."),
-    "check": ("run", "Run pipelines and test their expect: and accept: rules."),
-    "list": ("results", "The results below a folder, or their values, by rig, condition, date, fit."),
-    "compare": ("results", "Compare two results, parameter by parameter."),
-    "runs": ("evidence", "Who ran what and when: the record of runs of a results folder."),
-    "verify": ("evidence", "Whether a folder's artefacts, or an archive, are as labpipe wrote them."),
-    "sign": ("evidence", "Sign a report or an archive with your own certificate."),
-    "archive": ("evidence", "A result with all it was made from in one file, as evidence: an RO-Crate."),
-    "trend": ("results", "A parameter over a condition or over time in all results below a folder."),
-    "bearing": ("bearing", "Stiffness and damping of a bearing model at its load and speed."),
-    "study": ("stages", "Monte Carlo of a pipeline on a virtual rig: bias, coverage, success per estimator."),
-    "simulate": ("start", "Recordings of a virtual rig with known truth."),
-    "excite": ("start", "Test signals: Schroeder, random-phase, optimised multisine, odd lines."),
-    "calibrate": ("stages", "Sensor, actuator and stiffness calibration fits."),
-    "export": ("report", "Write an artefact for other programs: CSV, Parquet, UFF, MATLAB, XML."),
-    "schema": ("help", "The JSON schema of the files that people write, for editors."),
-    "completion": ("main", "Shell completion of commands and options."),
-    "doctor": ("help", "Versions, threads, optional packages, and faults of the installation."),
-}
-# A function named `list` would hide Python's own.
-TABLE = Registry(
-    "command",
-    {
-        name: f"labpipe.cli.{module}:{'list_results' if name == 'list' else name}"
-        for name, (module, _) in COMMANDS.items()
-    },
-)
+COMMANDS = Registry("command")
 
 
 class LazyGroup(click.Group):
     """Imports a command only when it is called, so that --help is quick."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 (click's signature)
-        return list(TABLE)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        if cmd_name not in TABLE:
-            raise click.UsageError(f"no command '{cmd_name}'; {nearest(cmd_name, TABLE)}")
-        command: click.Command = TABLE.load(cmd_name)
+        if cmd_name not in COMMANDS:
+            raise click.UsageError(f"no command '{cmd_name}'; {nearest(cmd_name, COMMANDS)}")
+        command: click.Command = COMMANDS.load(cmd_name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        others = (name for name in TABLE if name not in COMMANDS)
-        words = {name: says for name, (_, says) in COMMANDS.items()}
-        words |= {name: TABLE.load(name).get_short_help_str(limit=100) for name in others}
+        rows = []
+        for name in COMMANDS:
+            words = COMMANDS.words(name)
+            rows.append((name, words or COMMANDS.load(name).get_short_help_str(limit=100)))
         with formatter.section("Commands"):
-            formatter.write_dl([(name, words[name]) for name in TABLE])
+            formatter.write_dl(rows)
 
 
 def _print_version(context: click.Context, _option: click.Parameter, asked: bool) -> None:

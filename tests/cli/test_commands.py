@@ -21,7 +21,7 @@ import pytest
 import yaml
 
 from labpipe.artefacts.header import commit
-from labpipe.cli.main import TABLE
+from labpipe.cli.main import COMMANDS
 
 PEDESTAL = "pipelines/pedestal.yaml"
 
@@ -258,7 +258,7 @@ def test_sample_data_are_small(root: Path) -> None:
     assert sum(p.stat().st_size for p in (root / "sample_data").rglob("*") if p.is_file()) < 20e6
 
 
-@pytest.mark.parametrize("command", list(TABLE))
+@pytest.mark.parametrize("command", list(COMMANDS))
 def test_every_command_explains_itself(labpipe, command: str) -> None:
     ended = labpipe(command, "--help")
     assert ended.code == 0 and ended.out.startswith(f"Usage: labpipe {command}")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 WORTHWHILE = 0.8
 
 
-@click.command(short_help="Balance weights by trial runs, by a model of the rotor, or by both.")
+@click.command()
 @click.argument("balance_path", metavar="FILE", type=options.PATH)
 @click.option(
     "--json", "json_path", type=options.PATH, metavar="FILE", help="Write the result as JSON as well."

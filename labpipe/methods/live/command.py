@@ -37,7 +37,7 @@ def _parse_positive(text: str) -> float:
     raise click.BadParameter("a number above zero is needed")
 
 
-@click.command(short_help="Follow a test while it runs: coefficients and intervals as they come.")
+@click.command()
 @click.argument("pipeline_path", metavar="PIPELINE", type=options.PATH)
 @click.argument("source", metavar="[SOURCE]", required=False)
 @click.option(

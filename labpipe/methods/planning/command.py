@@ -10,7 +10,7 @@ from labpipe.cli import options
 from labpipe.cli.output import echo
 
 
-@click.command(short_help="Plan a test: signals for the shakers, predicted errors, its pipeline.")
+@click.command()
 @click.argument("plan_path", metavar="PLAN", type=options.PATH)
 @options.out_folder
 @options.overrides

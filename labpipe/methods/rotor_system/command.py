@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from labpipe.report.document import Document
 
 
-@click.command(short_help="A rotor by theory alone: critical speeds, margins, stability, response.")
+@click.command()
 @click.argument("rotor_path", metavar="FILE", type=options.PATH)
 @click.option(
     "--speeds", default="", metavar="BAND", help="e.g. '10-120 Hz'; default: 5 % to twice the file's speed."

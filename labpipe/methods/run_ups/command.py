@@ -9,7 +9,7 @@ import click
 from labpipe.cli import options
 
 
-@click.command(short_help="Orders of the shaft speed over a run: amplitude, phase, critical speeds.")
+@click.command()
 @click.argument("recording", metavar="RECORDING", type=options.PATH)
 @options.out_folder
 @click.option(
