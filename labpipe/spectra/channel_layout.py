@@ -78,7 +78,7 @@ def sum_errors(
     members = list(dict.fromkeys(effect.member for effect in (*of_outputs, *of_inputs)))
     rows = _member_rows(sources, replace(settings, estimator="H1"), layout, members, frequency.size, estimate)
     omega = 2 * np.pi * frequency
-    motion = (1j * omega) ** -layout.derivatives if layout.derivatives else np.ones(omega.size)
+    motion = layout.motion_factor(frequency)
     changes: dict[str, ComplexArray] = {}
     uncertainties: dict[str, Uncertainty] = {}
     for effects, are_outputs in ((of_outputs, True), (of_inputs, False)):
@@ -89,7 +89,7 @@ def sum_errors(
             size = effect.uncertainty.std_error * effect.slope * omega**effect.power
             row = size[:, None] * rows[effect.member]
             if are_outputs:
-                change[:, effect.port, :] += row * motion[:, None]
+                change[:, effect.port, :] += row / motion[:, effect.port, None]
             else:
                 change -= matrix[:, :, effect.port, None] * row[:, None, :]
     return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())

@@ -212,7 +212,7 @@ def _of_sensor_places(
 def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
-    layout = find_layout(sources)
+    layout = _layout_of(sources, settings)
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
     forces, responses = (
@@ -270,6 +270,15 @@ def _measure(
         findings=findings,
         conditions=dict(conditions or {}),
     )
+
+
+def _layout_of(sources: Sequence[SampleSource], settings: FrfSettings) -> Layout:
+    layout = find_layout(sources)
+    if len(set(layout.orders)) > 1 and settings.excitation == "random" and settings.local == "none":
+        what = "the responses are of several quantities, and each leaks from block to block in its own way"
+        hint = "local: polynomial follows what leaks; or role: reference for all but one quantity"
+        raise DataError(what, hint=hint)
+    return layout
 
 
 def _channel_names(layout: Layout) -> tuple[str, ...]:

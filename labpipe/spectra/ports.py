@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,7 +21,7 @@ from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse,
 from labpipe.records.uncertain import MatrixError
 from labpipe.spectra.bands import EDGE, lines_in
 from labpipe.spectra.channels import check_in_time, columns_of
-from labpipe.spectra.convert import TRANSMISSIBILITY
+from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY
 from labpipe.spectra.settings import FrfSettings
 
 # Time derivatives of a motion.
@@ -44,8 +45,8 @@ class Layout:
 
     def sensor_factor(self, frequency: FloatArray) -> ComplexArray:
         """S_input / S_output, the factor that corrects H for the sensors, (n_line, n_output, n_input) [1], at
-        *frequency* (n_line,) [Hz]. Of a transmissibility also (j w)^-n, n derivatives of the response more
-        than of the base. Raises as sensor_response does. Equation (spec-sensor-frf).
+        *frequency* (n_line,) [Hz], times (j w)^-n of `orders`. Raises as sensor_response does. Equation
+        (spec-sensor-frf).
         """
         responses = [
             [sensor_response(sensor, frequency) for sensor in sensors]
@@ -53,8 +54,13 @@ class Layout:
         ]
         outputs, inputs = (np.array(rows, np.complex128).T for rows in responses)
         factor = inputs[:, None, :] / outputs[:, :, None]
-        motion = (2j * np.pi * frequency[:, None, None]) ** -self.derivatives if self.derivatives else 1.0
-        return factor * motion
+        return factor / self.motion_factor(frequency)[:, :, None]
+
+    def motion_factor(self, frequency: FloatArray) -> ComplexArray:
+        """(j w)^n of `orders`, (n_line, n_output) [1/s^n], at *frequency* (n_line,) [Hz]; 1 at 0 Hz for n =
+        0.
+        """
+        return (2j * np.pi * frequency[:, None]) ** np.array(self.orders)
 
     @property
     def one_force_each(self) -> bool:
@@ -71,13 +77,16 @@ class Layout:
         return [max(range(len(columns)), key=columns.__getitem__) for columns in self.input_columns]
 
     @property
+    def orders(self) -> tuple[int, ...]:
+        """Time derivatives of every measured response beyond the form's, or beyond the motion of the base."""
+        quantity = self.input_sensors[0].quantity if self.form == TRANSMISSIBILITY else ""
+        of_form = DERIVATIVES.get(self.form, ORDER_OF.get(quantity, 0))
+        return tuple(ORDER_OF.get(sensor.quantity, of_form) - of_form for sensor in self.output_sensors)
+
+    @property
     def derivatives(self) -> int:
-        """Time derivatives of the measured responses beyond those of the measured motion of a base. 0 for
-        forces.
-        """
-        if self.form != TRANSMISSIBILITY:
-            return 0
-        return ORDER_OF[self.output_sensors[0].quantity] - ORDER_OF[self.input_sensors[0].quantity]
+        """The order of most responses."""
+        return Counter(self.orders).most_common(1)[0][0]
 
     def pad(self, recording: int, values: ComplexArray, axes: int) -> ComplexArray:
         """*values* (..., n_channel) [any unit], its last *axes* axes in the order inputs, outputs. Zero for
@@ -191,16 +200,23 @@ def _ports(sensors: Sequence[Channel]) -> tuple[Port, ...]:
 
 
 def _form(forces: Sequence[Channel], responses: Sequence[Channel]) -> str:
-    causes, effects = ({channel.quantity for channel in channels} for channels in (forces, responses))
-    if len(effects) > 1:
+    """The form of the matrix. Of motions of several quantities at places of their own it is that of most of
+    them, and the others are turned to it.
+    """
+    effects = Counter(channel.quantity for channel in responses)
+    causes, places = {channel.quantity for channel in forces}, {channel.dof for channel in responses}
+    of_motions = len(causes) == 1 and effects.keys() <= ORDER_OF.keys()
+    is_base = of_motions and causes <= ORDER_OF.keys()
+    may_differ = (is_base or (of_motions and causes == {"force"})) and len(places) == len(responses)
+    if len(effects) > 1 and not may_differ:
         hint = (
-            "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), or "
-            "use frf: {result: spectra}"
+            "keep one per FRF matrix (role: reference for the others, or a sum of channels: derived), give "
+            "every motion a `dof` of its own, or use frf: {result: spectra}"
         )
         raise DataError(f"the responses are of several quantities ({', '.join(sorted(effects))})", hint=hint)
-    if len(causes) == 1 and causes | effects <= ORDER_OF.keys():
+    if is_base:
         return TRANSMISSIBILITY
-    return FORM_OF.get(effects.pop(), "other") if causes == {"force"} else "other"
+    return FORM_OF.get(effects.most_common(1)[0][0], "other") if causes == {"force"} else "other"
 
 
 def check_rate(sources: Sequence[SampleSource]) -> None:

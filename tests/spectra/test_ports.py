@@ -110,8 +110,28 @@ def test_what_gives_no_matrix_is_refused() -> None:
         find_layout([run("a", X)])
     with pytest.raises(DataError, match="'a' has no response"):
         find_layout([run("a", shaker("x"))])
+    with pytest.raises(DataError, match=r"of several quantities .*a `dof` of its own"):
+        find_layout([run("a", shaker("x"), X, Channel("v", "velocity", "output", "x"))])
     with pytest.raises(DataError, match="of several quantities"):
-        find_layout([run("a", shaker("x"), X, Channel("v", "velocity", "output", "y"))])
+        find_layout([run("a", shaker("x"), X, Channel("s", "strain", "output", "y"))])
+    with pytest.raises(DataError, match="of several quantities"):
+        find_layout(
+            [run("a", Channel("u", "voltage", "input", "x"), X, Channel("v", "velocity", "output", "y"))]
+        )
+
+
+def test_motions_of_several_quantities_are_turned_to_that_of_most() -> None:
+    """Two probes and a velocity per force are receptances, v / (j w); beside an accelerometer on a base an
+    acceleration is one already, and a displacement lacks two derivatives.
+    """
+    v, a = (Channel(name, name, "output", name) for name in ("velocity", "acceleration"))
+    layout = find_layout([run("a", shaker("x"), v, X, Y)])
+    assert (layout.form, layout.orders, layout.derivatives) == ("receptance", (1, 0, 0), 0)
+    frequency = np.array([10.0, 20.0])
+    expected = np.stack([1 / (2j * np.pi * frequency), np.ones(2), np.ones(2)], axis=1)
+    np.testing.assert_allclose(layout.sensor_factor(frequency)[:, :, 0], expected, rtol=1e-14)
+    layout = find_layout([run("a", base("acceleration"), a, X)])
+    assert (layout.form, layout.orders) == ("transmissibility", (0, -2))
 
 
 @pytest.mark.parametrize(

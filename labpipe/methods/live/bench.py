@@ -69,7 +69,7 @@ class FollowedFit:
         chosen, view = frequency[self._lines], form_view(layout.form, settings)
         sensors = (*layout.output_sensors, *layout.input_sensors)
         self._sensors = np.array([sensor_response(sensors[port], chosen) for port in ports]).T
-        self._sensors[:, : len(rows)] *= (2j * np.pi * chosen[:, None]) ** layout.derivatives
+        self._sensors[:, : len(rows)] *= layout.motion_factor(chosen)[:, rows]
         self._form = layout.form
         equation = Equation(model, 2 * np.pi * chosen, view.factor(chosen), view.offset)
         self.fit = running_fit.RunningFit(equation)
