@@ -534,8 +534,19 @@ def leakage_findings(measured: Measured, whole: Matrices, estimator: Estimator) 
     # of the fitted model.
     if blocks is None or narrowest is None or is_joint(blocks):
         return []
-    frequency, width = narrowest
-    lines, modelled = blocks.length * width, estimator.models_leakage and measured.leakage is not None
+    return short_block_findings(measured, *narrowest, estimator.models_leakage)
+
+
+def short_block_findings(
+    measured: Measured, frequency: float, width: float, models_leakage: bool
+) -> list[Finding]:
+    """The same of a mode at a *frequency* [Hz] with its half-power *width* [Hz], by an estimator that models
+    the leakage or not; none without blocks.
+    """
+    blocks = measured.blocks
+    if blocks is None:
+        return []
+    lines, modelled = blocks.length * width, models_leakage and measured.leakage is not None
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
     if lines >= enough:
         return []

@@ -13,8 +13,8 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import chance_text
 from labpipe.errors import FitError, SettingError
+from labpipe.estimation import diagnostics
 from labpipe.estimation.budget import Source, mass_source, with_sources
-from labpipe.estimation.diagnostics import MISMATCH_P, excess, excess_text, quality_findings
 from labpipe.estimation.measured import (
     SHARE,
     Measured,
@@ -94,12 +94,12 @@ def _sources(
 
 def mismatch(estimate: ModalEstimate) -> float | None:
     """sqrt(chi-square per degree of freedom) where it is significantly above 1, else None."""
-    return excess(estimate.chi2_reduced, estimate.chi2_p)
+    return diagnostics.excess(estimate.chi2_reduced, estimate.chi2_p)
 
 
 def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
     """Whether the residual is not noise where the noise is not known."""
-    return estimate.chi2_reduced is None and p_noise < MISMATCH_P
+    return estimate.chi2_reduced is None and p_noise < diagnostics.MISMATCH_P
 
 
 def modal_findings(
@@ -119,7 +119,7 @@ def modal_findings(
         warnings.append(Finding("unphysical", f"{mode}: it is noise, or energy enters the structure"))
     factor, what = mismatch(estimate), ""
     if factor is not None:
-        what = excess_text(estimate.chi2_reduced, estimate.chi2_p)
+        what = diagnostics.excess_text(estimate.chi2_reduced, estimate.chi2_p)
     elif unexplained(estimate, p_noise):
         what = f"the residual is not noise: it is alike on neighbouring lines ({chance_text(p_noise)})"
     elif errors:
@@ -269,7 +269,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
     if not (has_noise(sides.measured) or correlation):
         fit = _with_window(fit, estimate.refined, sides.lines)
-    beside = (*loaded, *quality_findings(response, rows, columns, chosen))
+    polynomials = _polynomial_findings(sides.measured, estimate.refined)
+    beside = (*loaded, *diagnostics.quality_findings(response, rows, columns, chosen), *polynomials)
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
     refined = estimate.refined
     returns = diagram.returns(refined.poles, refined.participation)
@@ -545,6 +546,17 @@ def _curve(form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved:
         inputs=tuple(port.label for port in inputs),
         form=named,
     )
+
+
+def _polynomial_findings(measured: Measured, refined: Refined) -> list[Finding]:
+    """A warning where local polynomials do not follow the narrowest mode, beside which they put a second."""
+    if measured.blocks is None or not measured.blocks.degree:
+        return []
+    pole, more = refined.poles[np.argmax(refined.poles.real)], ". A second mode may seem to stand beside it"
+    found = diagnostics.short_block_findings(
+        measured, float(abs(pole)) / (2 * np.pi), float(-pole.real) / np.pi, True
+    )
+    return [replace(finding, message=finding.message + more) for finding in found]
 
 
 # Lines in the half-power width below which a window is as wide as the mode.

@@ -782,3 +782,27 @@ def test_a_noisy_repeat_is_fitted_from_the_modes_of_all(seed: int) -> None:
         stated = fit.parameter(f"f_n_{number}")
         assert stated.repeats is not None and stated.repeats.used >= 4
         assert stated.ci95 is not None and stated.ci95[0] < truth < stated.ci95[1]
+
+
+@pytest.mark.parametrize(("block", "named"), [(2.0, True), (20.0, False)])
+def test_local_polynomials_that_do_not_follow_a_mode_are_named(block: float, named: bool) -> None:
+    """Random force on one mass, 30 Hz and 2 % of damping, 1.2 Hz wide at half power: 2.4 and 24 lines, of
+    which a polynomial of degree 3 needs 10. The record is a cut of a longer one that repeats.
+    """
+    rate, rng = 256.0, np.random.default_rng(4)
+    force = rng.normal(size=int(130 * rate))
+    w = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / rate)
+    w_n = 2 * np.pi * 30.0
+    motion = np.fft.irfft(np.fft.rfft(force) / (w_n**2 - w**2 + 0.04j * w_n * w), force.size)
+    noisy = motion + 0.02 * motion.std() * rng.normal(size=motion.size)
+    channels = Channel("f", "force", "input", "x"), Channel("x", "displacement", "output", "x")
+    record = Recording(channels, np.column_stack([force, noisy])[: int(120 * rate)], rate, "run")
+    settings = FrfSettings("random", block=block, band=(10.0, 60.0), local="polynomial", degree=3)
+    fit = modal(measure([record], settings))
+    said = [finding.message for finding in fit.findings if finding.code == "leakage"]
+    assert len(said) == named
+    if named:
+        assert "degree 3 do not follow its peak" in said[0] and "A second mode may seem" in said[0]
+    else:
+        f_n, zeta = fit.parameter("f_n_1"), fit.parameter("zeta_1")
+        assert abs(f_n.value - 30.0) < 3 * f_n.full_error and abs(zeta.value - 0.02) < 3 * zeta.full_error
