@@ -43,7 +43,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 from labpipe.records.uncertain import Uncertainty
-from labpipe.spectra.bands import EDGE, lines_in
+from labpipe.spectra.bands import EDGE, beyond_finding, lines_in
 from labpipe.spectra.convert import FormView, is_directional
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 
@@ -81,6 +81,11 @@ def identify(
             fits = mean_over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             derived.add_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
+            for fit in fits
+        )
+    if not isinstance(measured, FreeDecays):
+        fits = tuple(
+            replace(fit, findings=(*fit.findings, *beyond_finding(measured.frequency, fit.band_hz)))
             for fit in fits
         )
     return tuple(with_contributions(fit, settings.coverage) for fit in fits)
