@@ -28,7 +28,7 @@ from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import Judgement, errors_by_lines, judge
+from labpipe.estimation.mismatch import LAW, Judgement, errors_by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
@@ -276,11 +276,15 @@ def _fit_band(
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
     if law and has_error:
         parameters = _hold_law(parameters, setup, measured)
-    budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     most = LIKELIER * compared_models[0].chi2 if law else np.inf
     faults = _find_faults(case, judged, most) if judging else {}
     cause = next((fault for fault in faults if fault), law)
+    if cause and judgement.by_cause is not None:
+        judgement = replace(judgement, findings=judgement.by_cause(cause))
+        reason = cause.removeprefix("a ")
+        parameters = tuple(replace(p, reason=reason) if p.reason else p for p in parameters)
+    budgeted = _with_budget(case, parameters, fitted, judged.factors)
+    notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -299,7 +303,7 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_cause(fit, judgement, cause), fitted, model, estimate.values)
+    return _BandFit(fit, fitted, model, estimate.values)
 
 
 def _compare_variants(
@@ -316,7 +320,7 @@ def _compare_variants(
         return (), (), ""
     compared, notes = candidates(measured, setup, estimate if of_model else None)
     of_law = bool(compared) and is_viscous and not settings.compare
-    return compared, notes, f"{HYSTERETIC.name} damping" if of_law else ""
+    return compared, notes, HYSTERETIC.name + LAW if of_law else ""
 
 
 def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measured) -> tuple[Parameter, ...]:
@@ -345,26 +349,6 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
 
 # Times the chi-square of another law of damping up to which a delay is as likely.
 LIKELIER = 2.0
-
-
-def _with_cause(fit: Fit, judgement: Judgement, cause: str) -> Fit:
-    """The fit whose model error is a *cause* that alone explains the residual: a channel that is late, or
-    another law of damping.
-    """
-    error, reason = judgement.model_error, cause.removeprefix("a ")
-    if not cause or error is None:
-        return fit
-    words = {f"likely {error.reason}": f"likely {cause}"}
-    if cause.endswith("damping"):
-        words[" as noise alone makes them"] = " as noise alone makes them, or wider by that law's values"
-    findings = list(fit.findings)
-    for old, new in words.items():
-        findings = [replace(f, message=f.message.replace(old, new)) for f in findings]
-    return replace(
-        fit,
-        parameters=tuple(replace(p, reason=reason) if p.reason else p for p in fit.parameters),
-        findings=tuple(findings),
-    )
 
 
 def _with_budget(
