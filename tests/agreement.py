@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from labpipe.uncertainty.settings import comparison_kind
+
 Entry = Mapping[str, Any]
 # Relative: files hold all digits of what was computed once, and a sum of it is rounded again.
 SAME = 1e-6
@@ -190,6 +192,9 @@ def _budget(budget: Entry, parameters: Sequence[Entry]) -> Iterator[str]:
 
 
 def _of_comparison(comparison: Entry) -> Iterator[str]:
+    known = comparison_kind(comparison["kind"]).verdicts
+    if known and comparison["verdict"] not in known:
+        yield f"{comparison['name']}: '{comparison['verdict']}' is no verdict of its kind"
     for amount in comparison["amounts"]:
         yield from (f"{comparison['name']} {text}" for text in _of_parameter(amount))
     for band in comparison["bands"]:

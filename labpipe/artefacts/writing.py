@@ -100,7 +100,11 @@ def staging_folder(home: Path) -> Iterator[Path]:
     staging = home / f"{_staging_prefix()}{os.getpid()}-{os.urandom(8).hex()}"
     # An interruption as soon as the folder is there finds it removed as well.
     try:
-        staging.mkdir(mode=0o700)
+        try:
+            staging.mkdir(mode=0o700)
+        except OSError as error:
+            error.filename = str(home)
+            raise
         with (staging / LOCK).open("w") as lock:
             _take_lock(lock)
             yield staging

@@ -31,7 +31,7 @@ from labpipe.records.recording import Overview
 from labpipe.records.response import FORMS, FrequencyResponse, Port
 from labpipe.records.settings import Setting, to_band
 from labpipe.records.spectra import ChannelSpectra
-from labpipe.registry import nearest
+from labpipe.registry import few, nearest
 from labpipe.simulate.virtual_rigs import VIRTUAL_RIGS
 
 _SAMPLE = re.compile(r"\.\./sample_data/([\w.-]+)/")
@@ -59,6 +59,8 @@ def examples() -> dict[str, list[Path]]:
 
 SCAFFOLD = ("rig.yaml", "pipeline.yaml")
 SCAFFOLD_RIG = "virtual-magnetic-rig"
+# Files of a folder that cannot be read which are named one by one.
+MOST_LEFT_OUT = 8
 
 
 @click.command()
@@ -74,7 +76,8 @@ def init(folder: Path | None, recordings: tuple[Path, ...], example: str | None)
 
     With RECORDING... (or FRFs) the two files are filled in from the recording: channels, units, rate, kind of
     excitation, band. Entries that only a person can decide are marked, and labpipe names each of them until
-    it is decided.
+    it is decided. A folder stands for all recordings in it: what their names (500rpm_1.csv), or a table
+    beside them that names them, say of each becomes its conditions.
     """
     if example is not None and recordings:
         raise ConfigError("--example has its own recordings", hint="leave out one of the two")
@@ -125,6 +128,8 @@ def _from_recordings(recordings: tuple[Path, ...], folder: Path, output: OutputF
     for name in names:
         output.write_path(name).write_text(texts[name], encoding="utf-8")
     echo(f"written to {folder}: {', '.join(names)}")
+    if project.left_out:
+        echo(f"left out: {few(project.left_out, MOST_LEFT_OUT, '; ')}")
     if project.decisions:
         echo(f"to be decided, marked '{MARK}': {', '.join(project.decisions)}")
     if project.tacho:

@@ -28,7 +28,7 @@ from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import Judgement, errors_by_lines, judge
+from labpipe.estimation.mismatch import LAW, Judgement, errors_by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
@@ -43,7 +43,7 @@ from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
 from labpipe.records.uncertain import Uncertainty
-from labpipe.spectra.bands import EDGE, lines_in
+from labpipe.spectra.bands import EDGE, beyond_finding, lines_in
 from labpipe.spectra.convert import FormView, is_directional
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
 
@@ -67,8 +67,8 @@ def identify(
     """
     if earlier:
         settings = settings.kind.begin(settings, tuple(earlier))
-    of_decays = DECAYS if isinstance(measured, FreeDecays) else SPECTRA
-    check_kind(settings, RESPONSES if isinstance(measured, FrequencyResponse) else of_decays)
+    other_kind = DECAYS if isinstance(measured, FreeDecays) else SPECTRA
+    check_kind(settings, RESPONSES if isinstance(measured, FrequencyResponse) else other_kind)
     if settings.peaks and isinstance(measured, FrequencyResponse):
         terms = (_diagonal_term(measured, settings, *peaks, judging) for peaks in settings.peaks)
         return tuple(itertools.chain(*terms))
@@ -81,6 +81,11 @@ def identify(
             fits = mean_over_repeats(fits, measured, settings, _fits)
         fits = tuple(
             derived.add_unstated(diagnostics.with_cautions(fit, measured.findings), measured, settings)
+            for fit in fits
+        )
+    if not isinstance(measured, FreeDecays):
+        fits = tuple(
+            replace(fit, findings=(*fit.findings, *beyond_finding(measured.frequency, fit.band_hz)))
             for fit in fits
         )
     return tuple(with_contributions(fit, settings.coverage) for fit in fits)
@@ -192,10 +197,15 @@ def _model(setup: Setup) -> derived.BandModel:
 
 def _may_have_residuals(setup: Setup) -> bool:
     settings = setup.settings
-    plain = settings.damping == VISCOUS and not (
+    viscous_alone = settings.damping == VISCOUS and not (
         settings.fixed or settings.tied or settings.eliminate or derived.is_corrected(settings)
     )
-    return settings.kind.one_frf and settings.mass == ESTIMATE and not settings.estimates.linear and plain
+    return (
+        settings.kind.one_frf
+        and settings.mass == ESTIMATE
+        and not settings.estimates.linear
+        and viscous_alone
+    )
 
 
 def _driving_mode(
@@ -210,18 +220,18 @@ def _driving_mode(
     if not estimate.converged or k * m > 0 or measured.matrix.shape[1:] != (1, 1):
         return None
     try:
-        other = _estimate(measured, DrivingMode(), setup.settings)
+        driving = _estimate(measured, DrivingMode(), setup.settings)
     except (FitError, np.linalg.LinAlgError):
         return None
-    f_n = float(np.sqrt(max(other.values[0] / other.values[2], 0.0))) / (2 * np.pi)
-    if not other.converged or not np.all(other.values[:3] > 0) or not band[0] <= f_n <= band[1]:
+    f_n = float(np.sqrt(max(driving.values[0] / driving.values[2], 0.0))) / (2 * np.pi)
+    if not driving.converged or not np.all(driving.values[:3] > 0) or not band[0] <= f_n <= band[1]:
         return None
     text = (
         f"{setup.settings.model}: one mode alone has a mass of {m:.3g} kg and a stiffness of {k:.3g} N/m, "
         "which is not an oscillator: other modes are in the FRF. A constant stands for them beside the mode; "
         "`residuals: true` says so beforehand."
     )
-    return DrivingMode(), other, text
+    return DrivingMode(), driving, text
 
 
 def _same_model(setup: Setup, names: tuple[str, ...]) -> derived.BandModel:
@@ -271,11 +281,15 @@ def _fit_band(
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
     if law and has_error:
         parameters = _hold_law(parameters, setup, measured)
-    budgeted = _with_budget(case, parameters, fitted, judged.factors)
-    notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     most = LIKELIER * compared_models[0].chi2 if law else np.inf
     faults = _find_faults(case, judged, most) if judging else {}
     cause = next((fault for fault in faults if fault), law)
+    if cause and judgement.by_cause is not None:
+        judgement = replace(judgement, findings=judgement.by_cause(cause))
+        reason = cause.removeprefix("a ")
+        parameters = tuple(replace(p, reason=reason) if p.reason else p for p in parameters)
+    budgeted = _with_budget(case, parameters, fitted, judged.factors)
+    notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
     fit = replace(
         derived.reported_fit(settings, estimate, budgeted.parameters, band, measured.omega.size),
         findings=(
@@ -294,7 +308,7 @@ def _fit_band(
         budget=budgeted.budget,
         discrepancy=None if judgement.model_error is None else judgement.model_error.discrepancy,
     )
-    return _BandFit(_with_cause(fit, judgement, cause), fitted, model, estimate.values)
+    return _BandFit(fit, fitted, model, estimate.values)
 
 
 def _compare_variants(
@@ -306,12 +320,12 @@ def _compare_variants(
     settings = setup.settings
     of_model = setup.settings.estimates.likelihood and not settings.eliminate
     is_viscous = settings.damping == VISCOUS
-    lawless = of_model and has_error and "damping" in settings.kind.keys and settings.sliding is None
-    if is_viscous and not settings.compare and not lawless:
+    seeks_law = of_model and has_error and "damping" in settings.kind.keys and settings.sliding is None
+    if is_viscous and not settings.compare and not seeks_law:
         return (), (), ""
     compared, notes = candidates(measured, setup, estimate if of_model else None)
-    of_law = bool(compared) and is_viscous and not settings.compare
-    return compared, notes, f"{HYSTERETIC.name} damping" if of_law else ""
+    law_explains = bool(compared) and is_viscous and not settings.compare
+    return compared, notes, HYSTERETIC.name + LAW if law_explains else ""
 
 
 def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measured) -> tuple[Parameter, ...]:
@@ -320,8 +334,8 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
     """
     hysteretic = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
     model = _model(hysteretic)
-    of_law = derived.reported_parameters(_estimate(measured, model, hysteretic.settings), model, hysteretic)
-    values = {p.name: np.array([p.value, p.std_error or 0.0]) for p in of_law}
+    by_law = derived.reported_parameters(_estimate(measured, model, hysteretic.settings), model, hysteretic)
+    values = {p.name: np.array([p.value, p.std_error or 0.0]) for p in by_law}
     if {"k", "eta", "f_n"} <= values.keys():
         values["zeta"] = values["eta"] / 2
         values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
@@ -330,36 +344,16 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
         if p.name in values and p.ci95 is not None and p.interval is not None:
             value, error = values[p.name].tolist()
             low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
-            full = (high - low) / (2 * NORMAL)
-            excess = float(np.sqrt(max(full**2 - p.interval.noise**2, 0.0)))
+            held_error = (high - low) / (2 * NORMAL)
+            excess = float(np.sqrt(max(held_error**2 - p.interval.noise**2, 0.0)))
             parts = replace(p.interval, discrepancy=excess)
-            p = restate(p, p.value, full, (low, high), interval=parts)
+            p = restate(p, p.value, held_error, (low, high), interval=parts)
         widened.append(p)
     return tuple(widened)
 
 
 # Times the chi-square of another law of damping up to which a delay is as likely.
 LIKELIER = 2.0
-
-
-def _with_cause(fit: Fit, judgement: Judgement, cause: str) -> Fit:
-    """The fit whose model error is a *cause* that alone explains the residual: a channel that is late, or
-    another law of damping.
-    """
-    error, reason = judgement.model_error, cause.removeprefix("a ")
-    if not cause or error is None:
-        return fit
-    words = {f"likely {error.reason}": f"likely {cause}"}
-    if cause.endswith("damping"):
-        words[" as noise alone makes them"] = " as noise alone makes them, or wider by that law's values"
-    findings = list(fit.findings)
-    for old, new in words.items():
-        findings = [replace(f, message=f.message.replace(old, new)) for f in findings]
-    return replace(
-        fit,
-        parameters=tuple(replace(p, reason=reason) if p.reason else p for p in fit.parameters),
-        findings=tuple(findings),
-    )
 
 
 def _with_budget(
@@ -389,14 +383,14 @@ def _parameter_findings(
 ) -> list[Finding]:
     of_mode = diagnostics.mode_findings(parameters, band, setup)
     driving = setup.settings.mass != ESTIMATE or not transfer_of(setup)
-    others = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
+    of_values = diagnostics.parameter_findings(parameters, driving=driving, held=setup.closed_loop)
     narrow: list[Finding] = []
     if measured.omega.size > 1 and not leaking and not setup.closed_loop:
         spacing = float(np.median(np.diff(measured.omega))) / (2 * np.pi)
         narrow = diagnostics.narrow_findings(parameters, spacing)
-    kept = [finding for finding in others if not (of_mode and finding.code == "unphysical")]
-    known = setup.closed_loop or any(finding.code == "unphysical" for finding in (*kept, *of_mode))
-    return [*kept, *of_mode, *narrow, *([] if known else diagnostics.sign_findings(measured))]
+    kept = [finding for finding in of_values if not (of_mode and finding.code == "unphysical")]
+    is_named = setup.closed_loop or any(finding.code == "unphysical" for finding in (*kept, *of_mode))
+    return [*kept, *of_mode, *narrow, *([] if is_named else diagnostics.sign_findings(measured))]
 
 
 def _with_honest_intervals(
@@ -417,8 +411,8 @@ def _with_honest_intervals(
         return error.state(parameters, report_parameters)
     if judgement.covariance is None:
         return parameters
-    pair = (report_parameters(estimate.values, c) for c in (estimate.covariance, judgement.covariance))
-    return derived.widened_parameters(parameters, *pair)
+    both = (report_parameters(estimate.values, c) for c in (estimate.covariance, judgement.covariance))
+    return derived.widened_parameters(parameters, *both)
 
 
 @dataclass(frozen=True)
@@ -440,9 +434,11 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
     amplitudes alone and without convergence as if all numbers were exact.
     """
     estimate, settings = case.estimate, case.setup.settings
-    unknown = estimate.gof.chi2_reduced is None
+    unknown_noise = estimate.gof.chi2_reduced is None
     try:
-        if not (settings.estimates.phase and estimate.converged) or (unknown and has_noise(case.measured)):
+        if not (settings.estimates.phase and estimate.converged) or (
+            unknown_noise and has_noise(case.measured)
+        ):
             raise FitError("no residual to judge stated numbers by")
         likely, uncertainties, stated = most_likely(case)
     except FitError:
@@ -453,7 +449,7 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
         )
     findings: tuple[Finding, ...] = ()
     factors: dict[str, float] = {}
-    if not unknown:
+    if not unknown_noise:
         model = (
             expected_model(likely.measured, likely.model)
             if settings.estimates.models_leakage
@@ -466,8 +462,8 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
         findings, factors = _contradict(case, uncertainties, assessed)
         if findings:
             # What is named is no sign of a wrong model besides.
-            by = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
-            stated = Stated(by[:, None] * stated.changes, stated.at / by)
+            enlargement = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
+            stated = Stated(enlargement[:, None] * stated.changes, stated.at / enlargement)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         gof = replace(estimate.gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
         estimate = replace(estimate, gof=gof)
@@ -488,10 +484,10 @@ def _contradict(
     settings, pulls = case.setup.settings, assessed.pulls
     before, after = case.estimate.gof.chi2_reduced, assessed.reduced
     assert before is not None and after is not None and assessed.p_value is not None and pulls is not None
-    most = (1 - causes.EXPLAINED) * (before - 1)
-    unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > most
-    turned = not case.setup.closed_loop and diagnostics.sign_findings(case.measured)
-    if settings.sliding is not None or unexplained or turned:
+    most_left = (1 - causes.EXPLAINED) * (before - 1)
+    unexplained = assessed.p_value < diagnostics.MISMATCH_P and after - 1 > most_left
+    wrong_sign = not case.setup.closed_loop and diagnostics.sign_findings(case.measured)
+    if settings.sliding is not None or unexplained or wrong_sign:
         return (), {}
     mass = mass_uncertainty(settings)
     values = {} if mass is None else {mass.source: float(settings.mass)}  # type: ignore[arg-type]
@@ -500,24 +496,24 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _find_faults(case: Case, judged: _Judged, most: float) -> dict[str, Finding]:
+def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Finding]:
     """Findings by the cause of the residual that they name: channels of a response to a force taken for
     others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
     makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty. *most*: chi-square [1] that a delay may leave.
+    phase to a force, a mass without uncertainty. *most_chi2*: chi-square [1] that a delay may leave.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
-    chance = estimate.gof.chi2_p
-    is_rejected = not estimate.converged or (chance is not None and chance < diagnostics.MISMATCH_P)
+    p_value = estimate.gof.chi2_p
+    is_rejected = not estimate.converged or (p_value is not None and p_value < diagnostics.MISMATCH_P)
     if is_rejected and (misread := diagnostics.reading_findings(case.measured, case.setup, estimate)):
         return misread
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
     is_sound = settings.estimates.phase and estimate.converged and not has_error
     if not is_sound or not isinstance(model, DynamicModel):
         return {}
-    late = causes.delay_findings(case.measured, model, estimate.values, most) if is_rejected else {}
-    if late:
-        return {f"a delay of {channel}": finding for channel, finding in late.items()}
+    delays = causes.delay_findings(case.measured, model, estimate.values, most_chi2) if is_rejected else {}
+    if delays:
+        return {f"a delay of {channel}": finding for channel, finding in delays.items()}
     masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
     return {"": masses[0]} if masses else {}
 

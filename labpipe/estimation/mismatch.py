@@ -6,7 +6,7 @@ known, else by its structure. Where it is not noise, the model error stands in v
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +44,8 @@ OUT, FEWEST_LINES, EITHER = 1e12, 10, 0.01
 OF_A_MODE = (MOVED_FREQUENCY, SECOND_MODE)
 WEIGH = "Measure several averages, or give their number and the coherence, so that lines count by their noise"
 RICHER = "Use a richer model, or narrow the band"
+# How a cause of a residual ends that is another law of damping.
+LAW = " damping"
 # Where nothing could tell whether a residual is noise.
 NOT_JUDGED = Finding(
     "not-judged",
@@ -56,12 +58,14 @@ NOT_JUDGED = Finding(
 @dataclass(frozen=True)
 class Judgement:
     """Findings on a residual; the *covariance* (n_parameter, n_parameter) [parameter units] that intervals
-    allow for, None where those of noise hold; the *model_error* that stands in values and intervals.
+    allow for, None where those of noise hold; the *model_error* that stands in values and intervals, and
+    *by_cause*: the findings where something else that has a name alone explains the residual.
     """
 
     findings: tuple[Finding, ...] = ()
     covariance: FloatArray | None = None
     model_error: ModelError | CoefficientError | None = None
+    by_cause: Callable[[str], tuple[Finding, ...]] | None = None
 
 
 @dataclass(frozen=True)
@@ -294,11 +298,15 @@ def _with_model_error(judged: _Judge, best: _Minimum, causes: Sequence[str] = ()
 def _state(
     judged: _Judge, best: _Minimum, error: ModelError | CoefficientError, what: str, growth: float
 ) -> Judgement:
-    text = (
-        f"{_wording(best)}; most likely {error.reason}. {what} include what the model leaves unexplained, "
-        f"and are up to {growth:.3g} times as wide as noise alone makes them"
-    )
-    return Judgement(judged.finding(text, RICHER), model_error=error)
+    def findings(cause: str) -> tuple[Finding, ...]:
+        of_law = ", or wider by that law's values" if cause.endswith(LAW) else ""
+        text = (
+            f"{_wording(best)}; most likely {cause}. {what} include what the model leaves unexplained, "
+            f"and are up to {growth:.3g} times as wide as noise alone makes them{of_law}"
+        )
+        return judged.finding(text, RICHER)
+
+    return Judgement(findings(error.reason), model_error=error, by_cause=findings)
 
 
 def _with_coefficient_error(judged: _Judge, best: _Minimum) -> Judgement | None:

@@ -140,9 +140,9 @@ def _weight_dof(measured: Measured) -> float:
     n, shared = _responses_of_one(measured)[0], measured.noise
     if shared is None or measured.noise_lines <= 1:
         return measured.noise_dof
-    held = shared.correlation
-    kernel = np.concatenate([[1.0], held, np.zeros(measured.omega.size)])
-    n_line = round(measured.noise_lines * (1 + 2 * float(np.sum(np.abs(held) ** 2))))
+    correlation = shared.correlation
+    kernel = np.concatenate([[1.0], correlation, np.zeros(measured.omega.size)])
+    n_line = round(measured.noise_lines * (1 + 2 * float(np.sum(np.abs(correlation) ** 2))))
     shares = np.maximum(np.linalg.eigvalsh(linalg.toeplitz(kernel[:n_line])), 0.0) / n_line
     ratio = n * measured.noise_lines / measured.noise_dof
 
@@ -180,12 +180,12 @@ def fitted_uncertainty(
     estimated = np.isfinite(measured.noise_dof)
     excess = uncertainty.excess * residual.mean / dof
     residual_dof = _residual_dof(measured, dof, shared) if estimated else np.inf
-    changed = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
-    lost = uncertainty.inflation / measured.shared_noise
+    of_residual = replace(uncertainty, excess=excess, shared=shared, residual_dof=residual_dof)
+    inflation = uncertainty.inflation / measured.shared_noise
     if measured.noise is not None and estimated:
         nu = _weight_dof(measured)
-        lost = (nu / (nu - _responses_of_one(measured)[0] + 1)) ** 2
-    return lost * residual.covariance, changed
+        inflation = (nu / (nu - _responses_of_one(measured)[0] + 1)) ** 2
+    return inflation * residual.covariance, of_residual
 
 
 def complex_rows(jacobian: FloatArray, n_line: int) -> ComplexArray:
@@ -201,16 +201,16 @@ def _responses_of_one(measured: Measured) -> tuple[int, int, int]:
     measured one after the other, and of a table, each has its own.
     """
     _, n, q = measured.matrix.shape
-    held = measured.stored_covariance
-    if isinstance(held, BlockCovariance):
-        block = held.elements[0]
-    elif isinstance(held, np.ndarray):
-        block = np.flatnonzero(np.any(held[:, 0] != 0, axis=0))
+    covariance = measured.stored_covariance
+    if isinstance(covariance, BlockCovariance):
+        block = covariance.elements[0]
+    elif isinstance(covariance, np.ndarray):
+        block = np.flatnonzero(np.any(covariance[:, 0] != 0, axis=0))
     else:
         return n, q, 1
-    rows = len(np.unique(block // q))
-    if rows < n:
-        return rows, len(block) // rows, n * q // len(block)
+    n_response = len(np.unique(block // q))
+    if n_response < n:
+        return n_response, len(block) // n_response, n * q // len(block)
     return n, q, 1
 
 
@@ -221,16 +221,16 @@ def _residual_dof(measured: Measured, dof: int, shared: float) -> float:
     forces, W lines with a common noise estimate and g, the lines' *shared* power; of F with d1 = dof / g, d2:
     2 (d1 + d2 - 2) / (d1 (d2 - 4)).
     """
-    n, q, copies = _responses_of_one(measured)
+    n, q, n_independent = _responses_of_one(measured)
     n_line = measured.omega.size
     nu = _weight_dof(measured)
     a = nu - n
     # Lines whose noise is averaged count as often as their noise is correlated anyway.
     estimates = max(min(measured.noise_lines * measured.shared_power, n_line), measured.shared_noise)
-    spread = nu * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line * copies)
+    variance = nu * (shared * a / q + estimates) / (n * (a**2 - 1) * n_line * n_independent)
     # The fit reduces the residual: both parts scale with the remainder.
-    scaled = spread * measured.n_equation / shared
-    return float((2 * dof / shared - 4 + 4 * scaled) / (scaled - 2))
+    remaining = variance * measured.n_equation / shared
+    return float((2 * dof / shared - 4 + 4 * remaining) / (remaining - 2))
 
 
 def has_noise(measured: Measured) -> bool:
@@ -253,23 +253,23 @@ def weighted_by_model(measured: Measured, fitted: ComplexArray) -> Measured:
     variance, channels = measured.variance, measured.noise_of_channels
     if channels is None or variance is None or not has_noise(measured):
         return measured
-    shown, model = measured.plus_offset(measured.matrix), measured.plus_offset(fitted)
-    _, n_output, n_input = shown.shape
-    size = np.max(np.abs(model) ** 2, axis=2)
-    if not np.all(size > 0):
+    measured_frf, model_frf = measured.plus_offset(measured.matrix), measured.plus_offset(fitted)
+    _, n_output, n_input = measured_frf.shape
+    largest = np.max(np.abs(model_frf) ** 2, axis=2)
+    if not np.all(largest > 0):
         return measured
-    crossed = channels[:, :n_input, None] * model.conj().swapaxes(1, 2)
-    of_outputs = (channels[:, n_input:] * size)[..., None] * np.eye(n_output)
-    gain = crossed @ np.linalg.inv(model @ crossed + of_outputs)
-    share = np.einsum("loi,lio->lo", model, gain).real
-    variance = variance.reshape(shown.shape)
-    if np.sqrt(8 * np.sum((share**2 / size)[..., None] * variance)) < LEAST_SHIFT:
+    force_noise = channels[:, :n_input, None] * model_frf.conj().swapaxes(1, 2)
+    output_noise = (channels[:, n_input:] * largest)[..., None] * np.eye(n_output)
+    gain = force_noise @ np.linalg.inv(model_frf @ force_noise + output_noise)
+    share = np.einsum("loi,lio->lo", model_frf, gain).real
+    variance = variance.reshape(measured_frf.shape)
+    if np.sqrt(8 * np.sum((share**2 / largest)[..., None] * variance)) < LEAST_SHIFT:
         return measured
-    error = shown - model
+    error = measured_frf - model_frf
     # What is further off is not noise; where noise is most of a force, nothing tells it.
-    likely = np.all(np.abs(error) <= FARTHEST * np.sqrt(variance), axis=(1, 2))
-    likely &= np.max(np.sum(np.abs(gain @ error), axis=2), axis=1) < MOST_MOVED
-    error *= likely[:, None, None]
+    is_noise = np.all(np.abs(error) <= FARTHEST * np.sqrt(variance), axis=(1, 2))
+    is_noise &= np.max(np.sum(np.abs(gain @ error), axis=2), axis=1) < MOST_MOVED
+    error *= is_noise[:, None, None]
     left, right = np.eye(n_output) - error @ gain, np.linalg.inv(np.eye(n_input) + gain @ error)
     n = n_output * n_input
     change = np.einsum("lop,lji->loipj", left, right).reshape(-1, n, n)
@@ -303,8 +303,8 @@ def fit_weights(measured: Measured) -> Weights:
     _check_regular(measured, smallest[0] * smallest[1])
     # Standard deviations are s_o [m/N] of the outputs times s_i [1] of the inputs.
     deviations = by_port[:, :, 0], by_port[:, 0] / by_port[:, 0, :1]
-    pairs = zip(factors, deviations, strict=True)
-    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in pairs)
+    by_axis = zip(factors, deviations, strict=True)
+    roots = (np.linalg.inv(np.linalg.cholesky(factor)) / size[:, None] for factor, size in by_axis)
     return ProductWeights(*roots)
 
 
@@ -357,13 +357,13 @@ def whiten_values(whitener: Weights, values: ComplexArray) -> FloatArray:
     """
     flat, whitener = values.reshape(*values.shape[:-2], -1), short_weights(whitener)
     if isinstance(whitener, ProductWeights):
-        white = whitener.whiten(values)
+        whitened = whitener.whiten(values)
     elif whitener.ndim == 2:
-        white = flat * whitener
+        whitened = flat * whitener
     else:
         by_line = np.moveaxis(flat, -2, 0).reshape(flat.shape[-2], -1, flat.shape[-1])
-        white = np.moveaxis(np.matmul(whitener, by_line.swapaxes(1, 2)), 2, 0)
-    return np.sqrt(2.0) * stack(white.reshape(*values.shape[:-3], -1))
+        whitened = np.moveaxis(np.matmul(whitener, by_line.swapaxes(1, 2)), 2, 0)
+    return np.sqrt(2.0) * stack(whitened.reshape(*values.shape[:-3], -1))
 
 
 def whitened_columns(whitener: Weights, terms: ComplexArray) -> FloatArray:
@@ -405,6 +405,6 @@ def short_weights(whitener: Weights) -> Weights:
     return diagonal if np.count_nonzero(whitener) == np.count_nonzero(diagonal) else whitener
 
 
-def _first(measured: Measured, at: BoolArray) -> str:
-    line = int(np.argmax(np.any(at, axis=1)))
+def _first(measured: Measured, affected: BoolArray) -> str:
+    line = int(np.argmax(np.any(affected, axis=1)))
     return f"{measured.omega[line] / (2 * np.pi):g} Hz"

@@ -36,7 +36,7 @@ from labpipe.report.comparison import comparison_sections
 from labpipe.report.condition_matrix import matrix_sections
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.matrix import PointTheory, condition_matrix
-from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, levels_of
+from labpipe.uncertainty.settings import CompareSettings, MatrixSettings, comparison_kind, levels_of
 
 
 def run_comparisons(settings: Sequence[CompareSettings], work: Work) -> Comparisons:
@@ -257,6 +257,7 @@ COMPARE = PipelineSection(
     record=Comparisons,
     entry="comparisons",
     names=names,
+    verdicts=lambda comparisons: ((of.name, comparison_kind(of.kind).verdicts) for of in comparisons),
     outcome=comparison_outcome,
     findings=findings,
     parameters=listed_amounts,

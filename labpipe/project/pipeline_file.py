@@ -362,14 +362,16 @@ def _load(
     report: ReportSettings | None = ReportSettings()
     if "report" in entries:
         report = read_settings(ReportSettings, entries["report"], "report", faults)
-    settings, names = _sections(entries, rig, faults)
+    settings, names, verdicts = _sections(entries, rig, faults)
     if "uncertainty" in entries:
         of_all = read_uncertainty(entries["uncertainty"], faults)
         if of_all is not None and "identify" in settings:
             fits, written = settings["identify"], entries["identify"].content
             settings["identify"] = tuple(of_all(fit, written[fit.name].content) for fit in fits)
     rules = tuple(
-        rule for key in ("accept", "expect") for rule in read_rules(key, entries.get(key), faults, names)
+        rule
+        for key in ("accept", "expect")
+        for rule in read_rules(key, entries.get(key), faults, names, verdicts)
     )
     results = text_of(entries, "results", "whole")
     # Of files written before: by the number of tests.
@@ -397,9 +399,10 @@ def _load(
 
 def _sections(
     entries: dict[str, Marked], rig: Rig | None, faults: Faults
-) -> tuple[dict[str, Any], tuple[str, ...]]:
+) -> tuple[dict[str, Any], tuple[str, ...], dict[str, tuple[str, ...]]]:
     settings: dict[str, Any] = {}
     names: tuple[str, ...] = ()
+    verdicts: dict[str, tuple[str, ...]] = {}
     for name, entry in sections(entries):
         written = entries[name].content
         content = _section(entries[name], name, entry, Reading(faults, rig, names))
@@ -408,7 +411,8 @@ def _sections(
         names = (*names, *(written if by_name else names_of(name, content)))
         if content is not None:
             settings[name] = content
-    return settings, names
+            verdicts.update(entry.verdicts(content))
+    return settings, names, verdicts
 
 
 def _section(node: Marked, name: str, entry: PipelineSection, reading: Reading) -> Any:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import csv
+import glob
+import json
 import math
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.errors import DataError
+from labpipe.errors import DataError, LabpipeError
 from labpipe.project import first_guess
-from labpipe.project.settings_reader import DECIDE
+from labpipe.project.ready_response import is_response
+from labpipe.project.settings_reader import DECIDE, conditions_in, plain_stem
+from labpipe.quantities import UnitError, parse_unit
 from labpipe.raw_files.first_look import Excitation, look, round_down
-from labpipe.raw_files.table import RawTable, check_time
+from labpipe.raw_files.table import TEXT_SUFFIXES, RawTable, check_time, open_table
+from labpipe.raw_files.text_table import open_text, plain_suffix
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
@@ -217,6 +225,17 @@ def proposals(
     return fits, excitation
 
 
+def widen_bands(fits: Mapping[str, Proposal], others: Mapping[str, Proposal]) -> dict[str, Proposal]:
+    """The *fits* of one recording, with bands that hold those of another as well, where both see a peak."""
+    wider = {}
+    for key, fit in fits.items():
+        band, other = fit.band, others.get(key, UNSEEN).band
+        if band and other:
+            fit = replace(fit, band=(min(band[0], other[0]), max(band[1], other[1])))
+        wider[key] = fit
+    return wider
+
+
 def _proposals(
     first: FirstLook, inputs: Sequence[int], outputs: Sequence[int], excitation: Excitation, drive: int | None
 ) -> dict[str, Proposal]:
@@ -280,10 +299,18 @@ def turning_tacho(first: FirstLook) -> str | None:
 DECAY_WIDTH, LEAST_PERIODS = 0.4, 16
 
 
-def decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
-    """A band [Hz], per sample without a rate, around the strongest line of each response's free decays."""
-    if not outputs:
-        return {}
+def decay_bands(looks: Sequence[FirstLook], outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
+    """A band [Hz], per sample without a rate, around the strongest line of each response's free decays, that
+    holds those of all recordings of one kind; of responses that die away in the first.
+    """
+    first, *others = (_decay_bands(look, outputs) if outputs else {} for look in looks)
+    for name, (low, high) in first.items():
+        bands = [(low, high), *(other[name] for other in others if name in other)]
+        first[name] = min(low for low, _ in bands), max(high for _, high in bands)
+    return first
+
+
+def _decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
     rate = first.rate or 1.0
     channels = tuple(_as_channel(first.channels[number]) for number in outputs)
     recording = Recording(channels, first.rows[:, list(outputs)], rate)
@@ -317,3 +344,211 @@ def _strongest_peak(decays: Sequence[FloatArray]) -> tuple[int, int]:
 
 def _power(samples: FloatArray, taper: FloatArray) -> FloatArray:
     return np.abs(np.fft.rfft((samples - samples.mean()) * taper)) ** 2
+
+
+# Several recordings of one kind: what a table beside them, or their names, say of each.
+
+# Conditions by the unit of a number in a name, and words before a number that only counts recordings.
+BY_UNIT = {"speed": "Hz", "load": "N", "temperature": "K", "pressure": "Pa", "voltage": "V", "current": "A"}
+BY_UNIT |= {"gap": "m", "mass": "kg", "time": "s", "moment": "N.m"}
+COUNTS = (
+    "run",
+    "rep",
+    "repeat",
+    "test",
+    "rec",
+    "file",
+    "no",
+    "nr",
+    "meas",
+    "trial",
+    "messung",
+    "lauf",
+    "number",
+)
+CASE = "case"
+# Fewest files of a folder with the same columns beside which those with others are left out.
+OF_ONE_KIND = 3
+_SEPARATORS = re.compile(r"([-_\s]+|(?<!\d)\.|\.(?!\d))")
+_NUMBER = re.compile(r"([^\W\d_]*)(\d+(?:\.\d+)?)([^\W\d_]*|%|°C)")
+_TITLE = re.compile(r"(.+?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?")
+# Most characters of a table of conditions: a recording is longer.
+SHORT_TABLE = 1 << 20
+
+
+def recordings_in(folder: Path) -> tuple[list[Path], dict[str, str]]:
+    """The files of a *folder* that can be read, and why others are left out, by name. DataError for none."""
+    columns: dict[Path, tuple[str, ...]] = {}
+    left_out: dict[str, str] = {}
+    for path in sorted(path for path in folder.iterdir() if path.is_file() and path.name[0] != "."):
+        try:
+            columns[path] = () if is_response(path) else tuple(open_table(path).columns)
+        except LabpipeError as error:
+            left_out[path.name] = error.what
+    if not columns:
+        raise DataError("holds no recording that can be read", folder)
+    stems = [plain_stem(path) for path in columns]
+    tables = [path for path in columns if conditions_of_table(path, set(stems) - {plain_stem(path)})]
+    kinds = Counter(names for path, names in columns.items() if path not in tables)
+    ((kind, count),) = kinds.most_common(1)
+    for path in [path for path, names in columns.items() if names != kind and path not in tables]:
+        if count >= OF_ONE_KIND:
+            left_out[path.name] = "has other columns"
+            del columns[path]
+    return list(columns), left_out
+
+
+def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[str, str]]:
+    """The conditions of recordings by their *stems*, from a short text table with a column that names each of
+    most of them, and a column for every condition: "speed [rpm]" of 500 is speed: 500 rpm. Empty for others.
+    """
+    if plain_suffix(path) not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE or len(stems) < 2:
+        return {}
+    with open_text(path) as lines, suppress(csv.Error):
+        text = lines.read()
+        rows = list(csv.reader(text.splitlines(), csv.Sniffer().sniff(text, ",;\t|")))
+        titles, entries = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
+        for number, column in enumerate(zip(*entries, strict=True)):
+            named = [plain_stem(Path(cell.strip())) for cell in column]
+            if 2 * len(set(named) & set(stems)) > len(stems):
+                others = [
+                    (place, *_condition(title)) for place, title in enumerate(titles) if place != number
+                ]
+                return {
+                    stem: {
+                        name: f"{row[place].strip().replace(',', '.')} {unit}".strip()
+                        for place, name, unit in others
+                        if name and row[place].strip()
+                    }
+                    for stem, row in zip(named, entries, strict=True)
+                }
+    return {}
+
+
+def _condition(title: str) -> tuple[str, str]:
+    """Name and unit of a condition by the *title* of its column: "oil (degC)"."""
+    match = _TITLE.fullmatch(title.strip())
+    name, unit = (match[1], match[2]) if match else (title, "")
+    return re.sub(r"\W+", "_", name.strip()).strip("_"), unit
+
+
+def pattern_of_names(stems: Sequence[str]) -> str:
+    """The pattern of recordings' names that differ in numbers or words between `_`, `-` and blanks, with the
+    conditions in it: 500rpm_1, 1000rpm_1 and 1000rpm_2 are {speed}_{}. Empty where names differ otherwise,
+    or in words alone.
+    """
+    parts = [_SEPARATORS.split(stem) for stem in stems]
+    columns = list(zip(*parts, strict=False))
+    if len({len(row) for row in parts}) > 1 or any(len(set(column)) > 1 for column in columns[1::2]):
+        return ""
+    places = {n: column for n, column in enumerate(columns) if len(set(column)) > 1}
+    fixed = ["", "", *(column[0] if len(set(column)) == 1 else "" for column in columns), "", ""]
+    named = {n: _named_part(column, fixed[n], fixed[n + 4]) for n, column in places.items()}
+    if all(name == CASE for _, name, *_ in named.values()):
+        return ""
+    amounts = any(is_amount for *_, is_amount in named.values())
+    texts, names = [column[0] for column in columns], Counter[str]()
+    for n, (before, name, after, is_amount) in named.items():
+        names[name] += 1
+        name += f"_{names[name]}" if names[name] > 1 else ""
+        # Beside an amount, a number that only counts is no condition.
+        texts[n] = (
+            f"{before}{{{'' if amounts and not is_amount and name.lower() in COUNTS else name}}}{after}"
+        )
+    pattern = "".join(texts)
+    is_plain = not any(set("{}") & set(stem) for stem in stems)
+    return pattern if is_plain and all(conditions_in(stem, pattern) is not None for stem in stems) else ""
+
+
+def _named_part(column: Sequence[str], before: str, after: str) -> tuple[str, str, str, bool]:
+    """What stands before a condition in a *column* of names' parts, its name, what stands after it, and
+    whether it is an amount with a unit; *before*, *after*: the parts beside it.
+    """
+    found = [match for match in map(_NUMBER.fullmatch, column) if match]
+    words, units = {match[1] for match in found}, {match[3] for match in found}
+    names = {_name_of_unit(unit) for unit in units}
+    if len(found) < len(column) or len(words) > 1 or len(names) > 1:
+        return "", CASE, "", False
+    (word,), (name,) = words, names
+    if not name:
+        name = word or _name_of_unit(after) or (before if before.isidentifier() else "number")
+        return word, name, units.pop() if len(units) == 1 else "", False
+    # C alone is the coulomb.
+    return word, name if word.lower() in ("", *COUNTS) else word, "C" if units == {"C"} else "", True
+
+
+def _name_of_unit(unit: str) -> str:
+    """What is usually measured in a *unit*; empty for none."""
+    if unit.endswith("Hz"):
+        return "frequency"
+    with suppress(UnitError):
+        dimension = parse_unit("degC" if unit == "C" else unit).dimension
+        return next((name for name, of in BY_UNIT.items() if parse_unit(of).dimension == dimension), "")
+    return ""
+
+
+def without_table(files: Sequence[Path]) -> tuple[Sequence[Path], dict[str, dict[str, str]]]:
+    """The *files* without one that is a table of conditions of the others, and these by stem."""
+    for file in files:
+        others = [other for other in files if other != file]
+        if conditions := conditions_of_table(file, [plain_stem(other) for other in others]):
+            return others, conditions
+    return files, {}
+
+
+def quote(content: object) -> str:
+    return json.dumps(content, ensure_ascii=False)
+
+
+def remark(line: str, words: str) -> str:
+    return f"{line:<30} # {words}"
+
+
+# Most recordings of one kind that are looked at for the bands of their fits.
+LOOKED_AT = 24
+
+
+@dataclass(frozen=True)
+class Tests:
+    """Files that are a test each, with their *paths* as the pipeline names them, and *conditions* by stem."""
+
+    files: Sequence[Path]
+    paths: Sequence[str]
+    conditions: Mapping[str, Mapping[str, str]]
+
+    def looked_at(self) -> list[Path]:
+        """Some of the further files where all are of one kind, else none."""
+        kinds = {
+            (tuple(table.columns), *sorted(table.units.items())) for table in map(open_table, self.files)
+        }
+        return list(self.files[1 :: max(1, len(self.files) // LOOKED_AT)]) if len(kinds) == 1 else []
+
+    def lines(self, kind: str) -> list[str]:
+        """The entry `recordings`, `frfs` or `tests` by the *kind* of files: each file of a pattern is a test
+        where their names say by numbers what differed.
+        """
+        if len(self.paths) == 1:
+            return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
+        stems = [plain_stem(file) for file in self.files]
+        pattern = pattern_of_names(stems) if kind == "recordings" and not self.conditions else ""
+        if pattern and self.looked_at():
+            each = remark(f"  - each: {quote(self._glob() or list(self.paths))}", "every file is a test")
+            return ["tests:", each, remark(f"    pattern: {quote(pattern)}", "conditions in their names")]
+        lines = [remark("tests:", "conditions: {speed: 3000 rpm} states what differed")]
+        for file, stem, path in zip(self.files, stems, self.paths, strict=True):
+            stated = ", ".join(
+                f"{name}: {quote(text)}" for name, text in self.conditions.get(stem, {}).items()
+            )
+            conditions = f", conditions: {{{stated}}}" if stated else ""
+            lines.append(f"  - {{name: {quote(file.stem)}, {kind}: {quote(path)}{conditions}}}")
+        return lines
+
+    def _glob(self) -> str:
+        """The glob of these files and no other; empty where there is none."""
+        file, columns = self.files[0], zip(*(file.name for file in self.files), strict=False)
+        same = next((n for n, letters in enumerate(columns) if len(set(letters)) > 1), 0)
+        # Numbers to come may begin with another digit.
+        begin = file.name[:same].rstrip("0123456789")
+        folder, pattern = self.paths[0].removesuffix(file.name), f"{begin}*{file.suffix}"
+        is_whole = sorted(file.parent.glob(pattern)) == sorted(self.files)
+        return folder + pattern if is_whole and not glob.has_magic(folder + begin) else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -121,8 +121,16 @@ WORDS = (EVERY_WARNING, "significant", "verdict")
 NOT, ALSO = "not ", "also "
 
 
-def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[str, ...]) -> tuple[Rule, ...]:
-    """The rules of one section; faults for unreadable ones and for fits that the pipeline does not have."""
+def read_rules(
+    section: str,
+    node: Marked | None,
+    faults: Faults,
+    fits: tuple[str, ...],
+    verdicts: Mapping[str, tuple[str, ...]],
+) -> tuple[Rule, ...]:
+    """The rules of one section; faults for unreadable ones and for fits that the pipeline does not have.
+    *verdicts* that are possible, by the name of what has them; of others any word is taken.
+    """
     if node is None:
         return ()
     rules: list[Rule] = []
@@ -130,7 +138,7 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
         key = f"{section}.{address}"
         if address == EVERY_WARNING:
             # Which warnings refuse a result, of every fit.
-            texts = _rule_texts(entry, key, faults, address)
+            texts = _rule_texts(entry, key, faults, address, ())
             addresses = filter(None, (_ADDRESS.match(f"{fit}.{EVERY_WARNING}") for fit in fits))
             rules.extend(_rule(section, at[0], entry, at, text) for at in addresses for text in texts)
         elif isinstance(entry.content, dict) and any(name in DECISION_KEYS for name in entry.content):
@@ -139,7 +147,7 @@ def read_rules(section: str, node: Marked | None, faults: Faults, fits: tuple[st
             elif match := _match(address, entry, key, faults, fits):
                 rules.extend(_decide(section, address, entry, match, faults))
         elif match := _match(address, entry, key, faults, fits):
-            texts = _rule_texts(entry, key, faults, match["item"])
+            texts = _rule_texts(entry, key, faults, match["item"], verdicts.get(match["fit"], ()))
             rules.extend(_rule(section, address, entry, match, text) for text in texts)
     return tuple(rules)
 
@@ -295,7 +303,9 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
     return tuple(outcome for outcome in OUTCOMES if outcome in texts)
 
 
-def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]:
+def _rule_texts(
+    entry: Marked, key: str, faults: Faults, item: str, verdicts: tuple[str, ...]
+) -> list[str]:
     what = item.rpartition(".")[2]
     nodes = list_entries(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
@@ -311,6 +321,8 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str) -> list[str]
             faults.add(entry, key, f"'{text}' is neither true nor false")
         elif what == EVERY_WARNING and (hint := _spelling(code)):
             faults.add(entry, key, f"unknown warning '{code}'", hint)
+        elif what == "verdict" and verdicts and text not in verdicts:
+            faults.add(entry, key, f"unknown verdict '{text}'", nearest(text, verdicts))
     for text in texts:
         if qualities := qualities_of(split_uncertainty(text)[1])[1]:
             what = f"'{', '.join(qualities)}' is of an uncertainty, and a rule states a half width"

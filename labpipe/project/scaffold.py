@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections import Counter
@@ -21,6 +20,7 @@ from labpipe.project.proposals import (
     UNSEEN,
     FirstLook,
     Proposal,
+    Tests,
     decay_bands,
     drive_of,
     excitation_of,
@@ -28,7 +28,12 @@ from labpipe.project.proposals import (
     proposal_of,
     proposals,
     propose,
+    quote,
+    recordings_in,
+    remark,
     turning_tacho,
+    widen_bands,
+    without_table,
 )
 from labpipe.project.ready_response import is_response, load_described, load_response
 from labpipe.project.rig_file import DEFAULT_ROLES
@@ -54,23 +59,17 @@ NOT_SHOWN = (
 )
 
 
-def _quote(content: object) -> str:
-    return json.dumps(content, ensure_ascii=False)
-
-
-def _remark(line: str, words: str) -> str:
-    return f"{line:<31}# {words}"
-
-
 @dataclass(frozen=True)
 class Scaffold:
     """The text of the two files; *rig* is empty where the files are FRFs. *tacho*: the channel that shows a
-    shaft that turns in a recording without a force.
+    shaft that turns in a recording without a force. *left_out*: files of a folder that are not among its
+    recordings, with the reason.
     """
 
     rig: str
     pipeline: str
     tacho: str | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def decisions(self) -> list[str]:
@@ -80,12 +79,25 @@ class Scaffold:
         return [f"{name}:{n}" for name, n, line in lines if MARK in line]
 
 
-def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
-    """The project in *folder* for recordings, or for FRFs, without a rig. DataError for unreadable files."""
+def scaffold(named: Sequence[Path], folder: Path) -> Scaffold:
+    """The project in *folder* for recordings, or for FRFs, without a rig, and for those of a folder that is
+    *named*. DataError for unreadable files.
+    """
+    left_out: dict[str, str] = {}
+    files: list[Path] = []
+    for path in named:
+        found, without = recordings_in(path) if path.is_dir() else ([path], {})
+        files, left_out = [*files, *found], {**left_out, **without}
+    of_files = _scaffold(files, folder)
+    return replace(of_files, left_out=tuple(f"{name}: {why}" for name, why in left_out.items()))
+
+
+def _scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
+    files, conditions = without_table(files)
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:
-            return Scaffold("", _pipeline_of_responses(files, paths))
+            return Scaffold("", _pipeline_of_responses(files, paths, conditions))
         except DataError:
             if plain_suffix(files[0]) not in UFF_SUFFIXES:
                 raise
@@ -104,9 +116,11 @@ def scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     pairs = zip(complete.channels, first.channels, strict=True)
     references = [after.key for before, after in pairs if before != after]
     if joined:
-        paths = [f"{{join: {_quote(paths)}}}"]
+        paths = [f"{{join: {quote(paths)}}}"]
+    tests = Tests(files, paths, conditions)
+    others = [] if len(paths) == 1 else [first_look(open_table(file)) for file in tests.looked_at()]
     tacho = None if first.column_of("input") else turning_tacho(first)
-    pipeline = _pipeline(first, files, paths, tacho) + "".join(f"{line}\n" for line in together)
+    pipeline = _pipeline(first, tests, tacho, others) + "".join(f"{line}\n" for line in together)
     if references:
         pipeline += BESIDE.format(", ".join(references))
     if "model: modal" in pipeline:
@@ -154,9 +168,9 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
         "  tests:",
     ]
     for file, path, turns in zip(files, paths, running, strict=True):
-        name = _quote(file.stem)
+        name = quote(file.stem)
         if turns:
-            run = f"{{recording: {_quote(path)}, rig: {DECIDE}, tacho: {DECIDE}}}"
+            run = f"{{recording: {quote(path)}, rig: {DECIDE}, tacho: {DECIDE}}}"
             mark = f"{MARK} the rig file of its probes, and the channel of the tacho; load: where it has one"
             lines.append(f"    - {{name: {name}, kind: run-up, run: {run}}}    {mark}")
         else:
@@ -167,7 +181,7 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
 def _rig(first: FirstLook, path: Path) -> str:
     lines = [f"# The rig, as far as {path.name} describes it. Marked lines need a decision.", "name: My rig"]
     if first.time:
-        lines.append(f"time: {_quote(first.time)}")
+        lines.append(f"time: {quote(first.time)}")
     elif not first.rate:
         what = "the sampling rate, for example 20 kHz; the file does not state it"
         lines.append(f"sample_rate: {DECIDE}    {MARK} {what}")
@@ -188,7 +202,7 @@ def _rig(first: FirstLook, path: Path) -> str:
 
 def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     """A channel; *anchor*: '&' for a shared unit that is to be decided, '*' for a reference to it."""
-    entries = {"column": _quote(channel.column), "quantity": channel.quantity, "unit": _quote(channel.unit)}
+    entries = {"column": quote(channel.column), "quantity": channel.quantity, "unit": quote(channel.unit)}
     if anchor:
         entries["unit"] = f"{anchor}{channel.quantity}" + (f" {DECIDE}" if anchor == "&" else "")
     entries |= {"role": channel.role, "dof": channel.dof} if channel.role else {"dof": channel.dof}
@@ -203,10 +217,11 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     return f"  {channel.key}: {{{listed}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
 
-def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tacho: str | None) -> str:
+def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequence[FirstLook]) -> str:
+    paths = tests.paths
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
-    decays = {} if inputs or tacho else decay_bands(first, outputs)
+    decays = {} if inputs or tacho else decay_bands([first, *others], outputs)
     # Displacements and accelerations of a stator, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
     if excitation is not None and {"displacement", "acceleration"} <= quantities:
@@ -219,14 +234,17 @@ def _pipeline(first: FirstLook, files: Sequence[Path], paths: Sequence[str], tac
             excitation = replace(excitation, band=excitation_of(first.rows[:, drive], first.rate or 1.0).band)
         if first.rate:
             peaks, excitation = proposals(first, inputs[:1], outputs, excitation, drive)
+            for other in others:
+                seen, _ = proposals(other, inputs[:1], outputs, excitation, drive)
+                peaks = widen_bands(peaks, seen)
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
-        *_sources(files, paths, "recordings"),
+        *tests.lines("recordings"),
         *(RUNNING.format(paths[0], tacho).splitlines() if tacho else []),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
-        *([_remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
+        *([remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
         "identify:",
     ]
     if decays:
@@ -264,7 +282,7 @@ DRIVES = "drives the shaker: lines that it lacks are distortion, no excitation"
 def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[str]:
     lines = [f"  ring_{output}:", "    model: decay", "    modes: 1", f"    output: {output}"]
     if rate:
-        lines.append(_remark(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz", "around the highest peak"))
+        lines.append(remark(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz", "around the highest peak"))
     return lines
 
 
@@ -275,7 +293,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
         "title: Dynamic stiffness of my rig",
         "rig: rig.yaml",
-        f"recordings: [{', '.join(_quote(path) for path in paths)}]",
+        f"recordings: [{', '.join(quote(path) for path in paths)}]",
         *_frf_lines(excitation, first.rate),
         "  result: spectra",
         "identify:",
@@ -288,19 +306,11 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
     return "\n".join(lines) + "\n"
 
 
-def _sources(files: Sequence[Path], paths: Sequence[str], kind: str) -> list[str]:
-    if len(paths) == 1:
-        return [f"{kind}: {paths[0] if paths[0][0] == '{' else _quote(paths[0])}"]
-    pairs = ((_quote(file.stem), _quote(path)) for file, path in zip(files, paths, strict=True))
-    entries = (f"  - {{name: {name}, {kind}: {path}}}" for name, path in pairs)
-    return ["tests:                         # conditions: {speed: 3000 rpm} states what differed", *entries]
-
-
 def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
         kinds = "periodic (with period: 1 s), random or impact (with block: 1 s), decay (no force)"
         return ["frf:", f"  excitation: {DECIDE}    {MARK} {kinds}"]
-    remark = {
+    why = {
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
         "impact": f"{excitation.repeats} hits",
@@ -310,16 +320,16 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     low, high = excitation.band
     length = f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
     length = f"{excitation.length / rate:.12g} s" if rate else length
-    lines = ["frf:", _remark(f"  excitation: {excitation.kind}", remark)]
+    lines = ["frf:", remark(f"  excitation: {excitation.kind}", why)]
     if excitation.kind in ("random", "impact"):
         lines.append(f"  block: {length}")
     if excitation.kind == "periodic":
         lines.append(f"  period: {length}")
-        lines.append(_remark(f"  skip: {1 if excitation.repeats > 2 else 0}", "transient periods"))
+        lines.append(remark(f"  skip: {1 if excitation.repeats > 2 else 0}", "transient periods"))
     if rate and excitation.kind != "stepped-sine":
         # The line at 0 Hz says nothing of a motion.
         low = low or rate / excitation.length
-        lines.append(_remark(f"  band: {low:.6g}-{high:.6g} Hz", "where the force has power"))
+        lines.append(remark(f"  band: {low:.6g}-{high:.6g} Hz", "where the force has power"))
     return lines
 
 
@@ -350,30 +360,30 @@ def _common_fit(first: FirstLook, peaks: Mapping[str, Proposal], excitation: Exc
         what = "all responses together; `sdof` gives k and c where force and response meet"
         low, high = excitation.band
         low = low or 1 / (excitation.length / first.rate)
-        band = _remark(f"    band: {low:.6g}-{high:.6g} Hz", "a narrower one is fitted faster")
-        return ["  modes:", _remark("    model: modal", what), band]
+        band = remark(f"    band: {low:.6g}-{high:.6g} Hz", "a narrower one is fitted faster")
+        return ["  modes:", remark("    model: modal", what), band]
     if len(forces) != 2 or sorted(forces) != sorted(responses) or not set(forces) < set("xyz"):
         return []
     mass = f"    mass: {DECIDE}    {MARK} what moves in the bearings, with its uncertainty: 1 kg +- 0.01 kg"
-    lines = ["  rotor:", _remark("    model: rotor-2dof", "k and c of both directions and across"), mass]
+    lines = ["  rotor:", remark("    model: rotor-2dof", "k and c of both directions and across"), mass]
     bands = [proposal.band for proposal in peaks.values() if proposal.band is not None]
     if bands:
         low, high = min(low for low, _ in bands), max(high for _, high in bands)
-        lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peaks"))
+        lines.append(remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peaks"))
     return lines
 
 
 def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator: str = "ml") -> list[str]:
     by_model = {
         "sdof": ["    model: sdof", f"    estimator: {estimator}"],
-        "modal": [_remark("    model: modal", "`sdof` gives k and c where force and response meet")],
-        "base": [_remark("    model: base", "f_n and zeta; with mass: 1 kg also k and c")],
+        "modal": [remark("    model: modal", "`sdof` gives k and c where force and response meet")],
+        "base": [remark("    model: base", "f_n and zeta; with mass: 1 kg also k and c")],
     }
-    last = {"modal": [_remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
+    last = {"modal": [remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
     lines = [f"  {name}:", *by_model[proposal.model], f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
         low, high = proposal.band
-        lines.append(_remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
+        lines.append(remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
     # Between lines of noise a mode needs more orders to return.
     return lines + last.get(proposal.model if proposal.is_mode else "", [])
 
@@ -410,7 +420,7 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
         ]
         lines += [f"  mode_{number}:", "    model: modal"]
         band = f"    band: {bands[0][0]:.6g}-{bands[-1][1]:.6g} Hz"
-        lines.append(_remark(band, "around a peak of all points"))
+        lines.append(remark(band, "around a peak of all points"))
     return lines or ["  modes:", "    model: modal"]
 
 
@@ -420,7 +430,9 @@ HEAD_OF_FRFS = (
 )
 
 
-def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
+def _pipeline_of_responses(
+    files: Sequence[Path], paths: Sequence[str], conditions: Mapping[str, Mapping[str, str]]
+) -> str:
     """Files that state their dofs: parts of one matrix where these fit together, else a test each."""
     response = load_response(files[0])
     if len(files) > 1:
@@ -428,15 +440,15 @@ def _pipeline_of_responses(files: Sequence[Path], paths: Sequence[str]) -> str:
         with suppress(DataError):
             whole = load_described(ReadyFrf(tuple(files), layout, dofs, dofs), layout, "", {})
             size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
-            lines = [_remark("frfs:", f"one matrix of {size}"), f"  each: {_quote(list(paths))}"]
+            lines = [remark("frfs:", f"one matrix of {size}"), f"  each: {quote(list(paths))}"]
             return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"
     estimator = "ml" if response.covariance is not None else "ls"
-    lines = [*HEAD_OF_FRFS, *_sources(files, paths, "frfs"), "identify:"]
+    lines = [*HEAD_OF_FRFS, *Tests(files, paths, conditions).lines("frfs"), "identify:"]
     fits = {
-        _quote(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
+        quote(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
         for row, port in enumerate(response.outputs)
     }
-    lines.extend(_lines_of_all_fits(_quote(response.inputs[0].label), fits, estimator))
+    lines.extend(_lines_of_all_fits(quote(response.inputs[0].label), fits, estimator))
     return "\n".join(lines) + "\n"
 
 
@@ -446,39 +458,39 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
     lines = [*HEAD_OF_FRFS, *(f"# a guess, {guess}" for guess in guessed.guesses), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
-        lines.append(f"  each: {_quote(list(paths))}")
+        lines.append(f"  each: {quote(list(paths))}")
         where = "where the dofs stand in the files' names, for example 'H_{output}_{input}'"
         why = "a guess: the one part in which the names differ"
-        guess = _remark(f"  pattern: {_quote(pattern)}", why)
+        guess = remark(f"  pattern: {quote(pattern)}", why)
         lines.append(guess if pattern else f"  pattern: {DECIDE}    {MARK} {where}")
     else:
-        lines.append(f"  file: {_quote(paths[0])}")
+        lines.append(f"  file: {quote(paths[0])}")
     if guessed.word:
         lines.append(f"  {guessed.word}: {_flow(guessed.columns)}")
     if guessed.conjugate:
-        lines.append(_remark("  conjugate: true", "the phase rises through the highest peak"))
+        lines.append(remark("  conjugate: true", "the phase rises through the highest peak"))
     if any("coherence" in parts for parts in (guessed.columns, *guessed.elements.values())):
-        lines.append(_remark("  # averages: 16", "how many: with the coherence they give the noise"))
-    lines.append(_remark("  # window: hann", "of the blocks; beside it, of random data:"))
-    lines.append(_remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"))
+        lines.append(remark("  # averages: 16", "how many: with the coherence they give the noise"))
+    lines.append(remark("  # window: hann", "of the blocks; beside it, of random data:"))
+    lines.append(remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"))
     lines += _unit_lines(guessed)
-    outputs, force = ["y"], _quote(guessed.reference) if guessed.reference else "f"
+    outputs, force = ["y"], quote(guessed.reference) if guessed.reference else "f"
     if guessed.elements:
         outputs = list(guessed.elements) if guessed.reference else _labels(guessed.elements)
         lines.append("  elements:                    # the dof of each response: any name, such as 3.z")
         pairs = zip(outputs, guessed.elements.values(), strict=True)
-        lines += [f"    {_quote(name)}: {_flow(parts)}" for name, parts in pairs]
+        lines += [f"    {quote(name)}: {_flow(parts)}" for name, parts in pairs]
     elif len(paths) == 1:
-        lines.append(_remark("  output: y", "the dof of the response: any name, such as 3.z"))
+        lines.append(remark("  output: y", "the dof of the response: any name, such as 3.z"))
     if len(paths) == 1 or pattern:
-        lines.append(_remark(f"  input: {force}", "the dof of the force"))
+        lines.append(remark(f"  input: {force}", "the dof of the force"))
     lines.append("identify:")
     if pattern:
         return "\n".join([*lines, *_mode_lines(files, guessed)]) + "\n"
     if len(paths) > 1:
         outputs = [f"{DECIDE}    {MARK} the dof of a response"]
         force = f"{DECIDE}    {MARK} the dof of the force"
-    fits = _fits_of(guessed, [*map(_quote, outputs)] if guessed.reference else outputs)
+    fits = _fits_of(guessed, [*map(quote, outputs)] if guessed.reference else outputs)
     return "\n".join([*lines, *_lines_of_all_fits(force, fits, "ls")]) + "\n"
 
 
@@ -542,20 +554,20 @@ def _order(guessed: GuessedFrf) -> int:
 
 
 def _flow(columns: Mapping[str, str]) -> str:
-    entries = (f"{kind}: {_quote(name)}" for kind, name in columns.items())
+    entries = (f"{kind}: {quote(name)}" for kind, name in columns.items())
     return f"{{{', '.join(entries)}}}"
 
 
 def _unit_lines(guessed: GuessedFrf) -> list[str]:
     """The form and the unit of FRFs: as the file says them, else to be decided."""
     if guessed.unit:
-        return [f"  unit: {_quote(guessed.unit)}"]
+        return [f"  unit: {quote(guessed.unit)}"]
     if guessed.label:
         form = [f"  form: {guessed.form}"] if guessed.form else []
         mark = f"{MARK} the unit of the numbers, for example g/N; the records say {guessed.label}"
         return [*form, f"  unit: {DECIDE}    {mark}"]
     if guessed.form:
-        return [_remark(f"  form: {guessed.form}", "in SI units; for others add unit: g/N, for example")]
+        return [remark(f"  form: {guessed.form}", "in SI units; for others add unit: g/N, for example")]
     return [f"  unit: {DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"]
 
 

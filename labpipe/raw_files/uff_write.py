@@ -76,6 +76,8 @@ def write_recording_uff(path: Path, recording: Recording, binary: bool = False) 
 def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
     """Write the modes of all *fits*; nodes are numbered as their points are named, or from 1 where names are
     no numbers. Records 55 are of translations: without a geometry, tilts of a body (bx, by, bz) are left out.
+    Modal A and modal B = -lambda A scale the shapes to residues, phi phi^T / A (Allemang, Vibrations:
+    Experimental Modal Analysis, University of Cincinnati 1999); they are 0 without a driving point.
     DataError where nothing else moves.
     """
     sets: list[dict[str, Any]] = []
@@ -92,8 +94,10 @@ def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
             labels = list(range(1, len(labels) + 1))
         sets += [] if sets else _structure(geometry, labels)
         motion = geometry.motion(dofs, modes.shapes[moving])
+        modal_a = np.zeros(modes.frequency.size) if modes.modal_a is None else modes.modal_a
         for n, (frequency, ratio) in enumerate(zip(modes.frequency, modes.damping_ratio, strict=True)):
             w = 2 * np.pi * frequency
+            pole = complex(-ratio * w, w * np.sqrt(max(1 - ratio**2, 0.0)))
             sets.append(
                 {
                     "type": 55,
@@ -105,8 +109,9 @@ def write_shapes_uff(path: Path, fits: Sequence[Fit]) -> None:
                     "spec_data_type": _DISPLACEMENT,
                     "load_case": 1,
                     "mode_n": n + 1,
-                    # Modal A and B are left zero: they need a driving point.
-                    "eig": complex(-ratio * w, w * np.sqrt(max(1 - ratio**2, 0.0))),
+                    "eig": pole,
+                    "modal_a": complex(modal_a[n]),
+                    "modal_b": complex(-pole * modal_a[n]),
                     "node_nums": labels,
                     **{f"r{axis + 1}": motion[n][:, axis].astype(complex) for axis in range(3)},
                 }

@@ -88,7 +88,9 @@ class Modes(FitDetail):
     upper: numbers of residual terms s^-2, s^-4 ... and 1, s^2 ... in the fit. driving_points: dof at which
     mass, stiffness and damping of each mode are given, that with its largest residue; empty where no point is
     a reference. dofs: place and direction of every point of the shapes; geometry: where they are, if it is
-    known. returns (n_mode,) [1]: share of the orders of the diagram that have a pole at the mode.
+    known. returns (n_mode,) [1]: share of the orders of the diagram that have a pole at the mode. modal_a
+    (n_mode,) [kg rad/s]: phi_d^2 / R of the shape phi and the residue R at the driving point d, 2 j w_d times
+    the modal mass of a real mode; None without driving points.
     """
 
     key: ClassVar[str] = "modes"
@@ -111,6 +113,7 @@ class Modes(FitDetail):
     dofs: tuple[str, ...] = ()
     geometry: Geometry | None = None
     returns: FloatArray | None = None
+    modal_a: ComplexArray | None = None
 
 
 # What a fitted free decay shows beside its parameters: the course over time, and damping and frequency over

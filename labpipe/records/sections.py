@@ -32,7 +32,8 @@ class PipelineSection:
     *fits*: its record is a tuple of fits, held with those of all others.
 
     Optional: read: (node, key, name, Reading) -> settings, where more than the dataclass is needed; names:
-    settings or record -> the names by which rules address it; outcome: (rule, record, compare) ->
+    settings or record -> the names by which rules address it; verdicts: settings -> (name, all verdicts that
+    a rule may ask for under it) pairs, any word where none are given; outcome: (rule, record, compare) ->
     RuleOutcome; findings: record -> (origin, finding) pairs; parameters: record -> ListedParameters; report:
     (record, Identification) -> sections of the report; cover: record -> what the cover says of it; terminal:
     record -> lines.
@@ -48,6 +49,7 @@ class PipelineSection:
     entry: str = ""
     read: Callable[[Any, str, str, Any], Any] | None = None
     names: Callable[[Any], Iterable[str]] | None = None
+    verdicts: Callable[[Any], Iterable[tuple[str, tuple[str, ...]]]] = _nothing
     outcome: Callable[[Any, Any, Any], Any] | None = None
     findings: Callable[[Any], Iterable[Any]] = _nothing
     parameters: Callable[[Any], Iterable[Any]] = _nothing

@@ -36,6 +36,19 @@ def lines_in(
     return chosen
 
 
+# Share of a band that may lie beyond all lines unsaid: rounded ends are no slip.
+MOST_BEYOND = 0.1
+
+
+def beyond_finding(frequency: FloatArray, band: tuple[float, float]) -> tuple[Finding, ...]:
+    """A note where a *band* [Hz] reaches far beyond the lines *frequency* (n_line,) [Hz]."""
+    low, high = float(frequency[0]), float(frequency[-1])
+    if max(low - band[0], band[1] - high) <= MOST_BEYOND * (band[1] - band[0]):
+        return ()
+    what = f"lines lie from {low:g} to {high:g} Hz, and the band {band[0]:g}-{band[1]:g} Hz reaches beyond"
+    return (note("band-beyond", f"{what}: nothing is known of the model there"),)
+
+
 def block_samples(source: SampleSource, block: float, least: int = 4) -> int:
     """Samples of a *block* [s] of a recording; DataError for fewer than *least*, and for more than it has."""
     n_sample = round(block * source.sample_rate)

@@ -19,7 +19,7 @@ from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, diagonal_covariance
 from labpipe.spectra import joint
 from labpipe.spectra.bands import line_range
-from labpipe.spectra.channels import checked_blocks
+from labpipe.spectra.channels import checked_blocks, columns_of
 from labpipe.spectra.covariance import covariance_of_periodic, joined_response, noise_shape
 from labpipe.spectra.feedback import feedback_of_periods
 from labpipe.spectra.matrices import hermitian
@@ -36,7 +36,7 @@ from labpipe.spectra.period_average import (
     smoothed_noise,
 )
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, select_lines
-from labpipe.spectra.quality import force_inverse, signal_to_noise
+from labpipe.spectra.quality import force_inverse, multiple_coherence, signal_to_noise
 from labpipe.spectra.random import cut_at
 from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
 from labpipe.spectra.settings import FrfSettings
@@ -50,6 +50,37 @@ def no_line(acting: BoolArray, names: Sequence[str] = ()) -> DataError:
     silent = "".join(f" {name}" for name, acts in zip(names, acting.T, strict=False) if not np.any(acts))
     hint = "check `period` and `band`, or raise the level; a channel that drives nothing is a `reference`"
     return DataError(f"no line of the force{silent} exceeds its noise", hint=hint)
+
+
+# Share of the responses' scatter between periods that follows the forces' from which on these are no noise,
+# and the least periods over the forces: of independent ones 1 / (n - 1) follows a force by chance.
+FOLLOWS, PERIODS_PER_FORCE = 0.5, 4
+
+
+def _check_repeated(spectra: Sequence[LineSpectrum], sources: Sequence[SampleSource], period: float) -> None:
+    """DataError where a force differs from period to period and moves the responses: it is no noise that
+    would hide its lines.
+    """
+    for spectrum, source in zip(spectra, sources, strict=True):
+        forces, outputs = (columns_of(source.channels, role) for role in ("input", "output"))
+        if spectrum.noise is None or spectrum.n_period <= PERIODS_PER_FORCE * len(forces):
+            continue
+        s_yu, s_yy = (spectrum.noise[:, outputs][:, :, side] for side in (forces, outputs))
+        h1 = s_yu @ np.linalg.pinv(spectrum.noise[:, forces][:, :, forces], hermitian=True)
+        power = np.einsum("foo->fo", s_yy).real
+        share = np.average(multiple_coherence(h1, s_yu, s_yy), axis=0, weights=power)
+        if np.max(share) > FOLLOWS:
+            names = ", ".join(source.channels[column].name for column in forces)
+            what = (
+                f"recording '{source.name}': {names} differs from period to period, and the responses with "
+                f"it: its phases change from block to block, or it does not repeat every {period:g} s"
+            )
+            hint = (
+                "of random phases give every block in which motion is steady as a recording of its own, "
+                "{file: ..., start: ..., end: ...}, with `realisations: true`; a force without a period is "
+                "`excitation: random`"
+            )
+            raise DataError(what, hint=hint)
 
 
 def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: Layout) -> Parts:
@@ -68,6 +99,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
     if settings.reference and np.any(lines):
         lines = _injected_lines(spectra, sources, settings)
     if not np.any(lines):
+        _check_repeated(single, sources, settings.period)
         raise no_line(acting, [port.label for port in layout.inputs])
     n_input = len(layout.inputs)
     mean = np.stack([layout.pad(e, s.mean[lines], 1) for e, s in enumerate(spectra)], axis=2)

@@ -345,6 +345,7 @@ TREND = ComparisonKind(
     lambda settings, evidence: trend(evidence.campaign(settings)),
     keys=(*OF_TESTS, "parameter", "law", "setting_error", "level"),
     needs=("fit", "over"),
+    verdicts=("rising", "falling", "curved", "no trend"),
     conditions=2,
 )
 # Groups of tests that share a condition, or, without `group`, two tests by their names.
@@ -352,6 +353,7 @@ DIFFERENCE = ComparisonKind(
     lambda settings, evidence: difference(evidence.campaign(settings)),
     keys=(*OF_TESTS, "parameter", "groups", "tolerance", "setting_error", "level"),
     needs=("fit", "groups"),
+    verdicts=("different", "no difference"),
     conditions=2,
 )
 QUOTIENT = replace(DIFFERENCE, compare=lambda settings, evidence: quotient(evidence.campaign(settings)))
@@ -359,10 +361,16 @@ REPEATABILITY = ComparisonKind(
     lambda settings, evidence: repeatability(evidence.campaign(settings)),
     keys=(*OF_TESTS, "parameter", "level"),
     needs=("fit", "group"),
+    verdicts=("settings differ", "settings alike"),
 )
 RECIPROCITY = ComparisonKind(
-    lambda settings, evidence: reciprocal(settings, evidence.responses), keys=("level",)
+    lambda settings, evidence: reciprocal(settings, evidence.responses),
+    keys=("level",),
+    verdicts=("reciprocal", "not reciprocal"),
 )
 BANDS = ComparisonKind(
-    _bands, keys=("fit", "parameter", "group", "groups", "level"), needs=("fit", "group", "groups")
+    _bands,
+    keys=("fit", "parameter", "group", "groups", "level"),
+    needs=("fit", "group", "groups"),
+    verdicts=("different", "no difference"),
 )

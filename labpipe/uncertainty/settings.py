@@ -128,14 +128,16 @@ class ComparisonKind:
     """What a comparison of the kind computes from its settings and the evidence, and what is true of it.
 
     keys: those, besides `kind`, that change what is computed; all others are refused; needs: those that must
-    be given. conditions: over how many it goes at most. loop: its theory is a control loop, unchanged unless
-    a condition sets an entry, whose unknowns may be estimated. section: key of the kind's own *settings*, a
+    be given. verdicts: all that it may come to, by which rules are checked; none where rules may name any.
+    conditions: over how many it goes at most. loop: its theory is a control loop, unchanged unless a
+    condition sets an entry, whose unknowns may be estimated. section: key of the kind's own *settings*, a
     dataclass with defaults.
     """
 
     compare: Callable[[CompareSettings, Any], Comparison]
     keys: tuple[str, ...]
     needs: tuple[str, ...] = ()
+    verdicts: tuple[str, ...] = ()
     conditions: int = 1
     loop: bool = False
     section: str = ""

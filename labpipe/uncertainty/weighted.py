@@ -65,12 +65,14 @@ class WeightedFit:
     def dof_of(self, direction: FloatArray) -> float:
         """Welch and Satterthwaite's degrees of freedom [1] along a *direction* (n_parameter,)."""
         # Two values alone, as far apart as chance makes them, leave the errors as known.
-        alone = self.dof == 1 and self.spread > 0 and not self.inflated
-        squares = (direction @ self.moved) ** 2
-        whole, known = (direction @ part @ direction for part in (self.covariance, self.known))
-        estimated = max(whole - (known if alone else np.sum(squares)), 1e-12 * whole)
-        terms = estimated**2 / self.effective_dof + np.sum(squares**2 / self.moved_dof)
-        return float(whole**2 / terms) if terms else np.inf
+        as_stated = self.dof == 1 and self.spread > 0 and not self.inflated
+        by_source = (direction @ self.moved) ** 2
+        variance, known_variance = (
+            direction @ matrix @ direction for matrix in (self.covariance, self.known)
+        )
+        estimated = max(variance - (known_variance if as_stated else np.sum(by_source)), 1e-12 * variance)
+        terms = estimated**2 / self.effective_dof + np.sum(by_source**2 / self.moved_dof)
+        return float(variance**2 / terms) if terms else np.inf
 
     def reach(self, direction: FloatArray) -> float:
         """Half the 95 % interval [any unit] along a *direction* (n_parameter,). Equation (comp-quantile)."""
@@ -127,15 +129,17 @@ def weighted_fit(
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
     spread = 0.0
     if chi2 > dof > 0:
-        most = 10 * float(np.mean((values - columns @ (weights @ values)) ** 2))
+        largest = 10 * float(np.mean((values - columns @ (weights @ values)) ** 2))
 
-        def beside(share: float) -> tuple[FloatArray, float, FloatArray]:
-            square = share * most
-            wider = np.sqrt(errors**2 + square) if errors.ndim == 1 else errors + square * np.eye(values.size)
-            return _solve(columns, values, wider, changes)
+        def solve_with(share: float) -> tuple[FloatArray, float, FloatArray]:
+            added = share * largest
+            enlarged = (
+                np.sqrt(errors**2 + added) if errors.ndim == 1 else errors + added * np.eye(values.size)
+            )
+            return _solve(columns, values, enlarged, changes)
 
-        share = scipy.optimize.brentq(lambda share: beside(share)[1] - dof, 0.0, 1.0)
-        spread, (inverse, _, weights) = share * most, beside(share)
+        share = scipy.optimize.brentq(lambda share: solve_with(share)[1] - dof, 0.0, 1.0)
+        spread, (inverse, _, weights) = share * largest, solve_with(share)
     return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, weights @ changes.T, known)
 
 
@@ -143,8 +147,8 @@ def _solve(
     columns: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray
 ) -> tuple[FloatArray, float, FloatArray]:
     """Covariance (n_parameter, n_parameter), chi-square, weights (n_parameter, n) of the values."""
-    whole = joint_errors(errors, changes)
-    design, whitened = _whiten(columns, whole), _whiten(np.eye(values.size), whole)
+    joint = joint_errors(errors, changes)
+    design, whitened = _whiten(columns, joint), _whiten(np.eye(values.size), joint)
     covariance = np.linalg.inv(design.T @ design)
     weights = covariance @ design.T @ whitened
     return covariance, float(np.sum((whitened @ (values - columns @ (weights @ values))) ** 2)), weights
@@ -161,8 +165,8 @@ def dof_of_sum(errors: FloatArray, dofs: FloatArray) -> float:
     """Welch and Satterthwaite's degrees of freedom [1] of a sum of independent parts with standard *errors*
     (n,) [one unit] and *dofs* (n,) [1]: (sum s^2)^2 / sum (s^4 / dof).
     """
-    spread = float(np.sum(errors**4 / dofs))
-    return float(np.sum(errors**2)) ** 2 / spread if spread else np.inf
+    fourth_powers = float(np.sum(errors**4 / dofs))
+    return float(np.sum(errors**2)) ** 2 / fourth_powers if fourth_powers else np.inf
 
 
 def weighted_mean(values: FloatArray, errors: FloatArray, changes: FloatArray | None = None) -> WeightedFit:
@@ -218,22 +222,22 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     n_0 = (n - np.sum(counts**2) / n) / (a - 1)
     f = between / within
     # SSB (1 - F_q / F), which has no F to divide by where the means are alike.
-    ends = [
+    between_squares = [
         (between_sum - (a - 1) * within * distributions.f_quantile(q, a - 1, n - a))
         / (n_0 * distributions.chi2_quantile(q, a - 1))
         for q in (1 - TAIL, TAIL)
     ]
-    low, high = (float(np.sqrt(max(end, 0.0))) for end in ends)
+    between_low, between_high = (float(np.sqrt(max(square, 0.0))) for square in between_squares)
     quantiles = [distributions.chi2_quantile(q, n - a) for q in (1 - TAIL, TAIL)]
-    least, most = (float(np.sqrt(within_sum / quantile)) for quantile in quantiles)
+    within_low, within_high = (float(np.sqrt(within_sum / quantile)) for quantile in quantiles)
     return Components(
         weights=1 / (a * counts[group]),
         mean=float(np.mean(means)),
         mean_error=float(np.std(means, ddof=1) / np.sqrt(a)),
         within=float(np.sqrt(within)),
-        within_ci=(least, most),
+        within_ci=(within_low, within_high),
         between=float(np.sqrt(max((between - within) / n_0, 0.0))),
-        between_ci=(low, high),
+        between_ci=(between_low, between_high),
         p_value=distributions.f_tail(f, a - 1, n - a),
         settings=a,
         repeats=n,
@@ -365,15 +369,15 @@ def curvature_text(
     errors and the squares and products of the conditions take that (F test). Else empty. Equation
     (comp-curved).
     """
-    over = np.atleast_2d(conditions)
-    span = np.maximum(np.ptp(over, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows = np.atleast_2d(conditions)
+    span = np.maximum(np.ptp(rows, axis=1, keepdims=True), np.finfo(float).tiny)
     columns = np.column_stack(
-        [np.ones(values.size), *(2 * (over - over.min(axis=1, keepdims=True)) / span - 1)]
+        [np.ones(values.size), *(2 * (rows - rows.min(axis=1, keepdims=True)) / span - 1)]
     )
     n_flat = columns.shape[1]
     for first, second in itertools.combinations_with_replacement(range(1, n_flat), 2):
-        wider = np.column_stack([columns, columns[:, first] * columns[:, second]])
-        columns = wider if np.linalg.matrix_rank(wider) > columns.shape[1] else columns
+        extended = np.column_stack([columns, columns[:, first] * columns[:, second]])
+        columns = extended if np.linalg.matrix_rank(extended) > columns.shape[1] else columns
     n_bent = columns.shape[1] - n_flat
     if not n_bent or values.size < columns.shape[1] + FEWEST_LEFT:
         return ""
@@ -382,13 +386,13 @@ def curvature_text(
     p_value = distributions.f_tail(ratio, n_bent, bent.dof)
     if not flat.inflated or p_value >= CURVED_LEVEL:
         return ""
-    what, size = f"({chance_text(p_value)}), which a", 100 / abs(scale)
-    if len(over) > 1:
-        most = float(np.max(np.abs(columns[:, n_flat:] @ bent.values[n_flat:])))
-        return f"curved, by up to {size * most:.2g} % off a plane {what} plane does not hold"
+    because, percent = f"({chance_text(p_value)}), which a", 100 / abs(scale)
+    if len(rows) > 1:
+        largest = float(np.max(np.abs(columns[:, n_flat:] @ bent.values[n_flat:])))
+        return f"curved, by up to {percent * largest:.2g} % off a plane {because} plane does not hold"
     side = "below" if bent.values[2] > 0 else "above"
-    share = size * abs(bent.values[2])
-    return f"curved, in the middle {share:.2g} % {side} the chord {what} straight line does not hold"
+    deviation = percent * abs(bent.values[2])
+    return f"curved, in the middle {deviation:.2g} % {side} the chord {because} straight line does not hold"
 
 
 def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -400,17 +404,17 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
-    whole = np.diag(errors**2) if errors.ndim == 1 else errors
+    joint = np.diag(errors**2) if errors.ndim == 1 else errors
     differences, chances = np.empty(values.size), np.empty(values.size)
     for n in range(values.size):
         others = np.arange(values.size) != n
-        covariance = whole[np.ix_(others, others)]
-        rest = weighted_mean(values[others], covariance)
-        covariance = covariance + rest.spread * np.eye(values.size - 1)
+        covariance = joint[np.ix_(others, others)]
+        others_mean = weighted_mean(values[others], covariance)
+        covariance = covariance + others_mean.spread * np.eye(values.size - 1)
         # The weights of the values in their generalised least-squares mean.
         weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-        shared = float(weights @ whole[others, n] / weights.sum())
-        apart = whole[n, n] - 2 * shared + rest.spread + rest.covariance
-        away = replace(rest, values=values[[n]] - rest.values, covariance=apart)
-        differences[n], chances[n] = away.values[0], away.p_of(0)
+        with_mean = float(weights @ joint[others, n] / weights.sum())
+        variance = joint[n, n] - 2 * with_mean + others_mean.spread + others_mean.covariance
+        difference = replace(others_mean, values=values[[n]] - others_mean.values, covariance=variance)
+        differences[n], chances[n] = difference.values[0], difference.p_of(0)
     return differences, chances

@@ -120,6 +120,16 @@ def test_edges_of_a_single_band_belong_to_it(sdof_response) -> None:
     assert (fit.lines, fit.equations, fit.dof) == (9, 18, 16)
 
 
+@pytest.mark.parametrize(
+    ("band", "said"), [((59.5, 71.0), False), ((58.0, 70.0), True), ((60.0, 5000.0), True), (None, False)]
+)
+def test_a_band_far_beyond_the_lines_is_said(sdof_response, band, said: bool) -> None:
+    """Lines from 60 to 70 Hz: of 11.5 Hz 1 lies beyond them, of 12 Hz 2, of 4940 Hz nearly all."""
+    (fit,) = identify(sdof_response(), replace(SDOF, band=band, estimator="ls"))
+    messages = [finding.message for finding in fit.findings if finding.code == "band-beyond"]
+    assert len(messages) == said and all("from 60 to 70 Hz" in message for message in messages)
+
+
 def test_support_is_subtracted_and_the_rest_shared_with_its_uncertainty(sdof_response) -> None:
     response = sdof_response(1e-6, np.random.default_rng(2))
     (total,) = identify(response, SDOF)

@@ -90,6 +90,7 @@ def test_a_viscous_fit_of_a_loss_factor_is_told_the_law_of_its_damping() -> None
     assert (
         "; most likely hysteretic damping. " in mismatch and fit.parameter("k").reason == "hysteretic damping"
     )
+    assert "as noise alone makes them, or wider by that law's values" in mismatch
     (other,) = (finding.message for finding in fit.findings if finding.code == "other-model")
     assert "'sdof, hysteretic damping' with 2 parameters" in other
     # Over a wide band the viscous stiffness is 1.2 % off: its interval holds that of the law, too.

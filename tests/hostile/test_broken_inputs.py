@@ -344,15 +344,15 @@ def test_a_folder_without_permission(project: Path, labpipe) -> None:
 
 
 def test_an_operating_system_error_becomes_one_line(project: Path, labpipe, monkeypatch) -> None:
-    def denied(*_: object, **__: object) -> str:
-        raise PermissionError(13, "Permission denied", str(project))
+    """As by a folder that may only be read: it is named, and not what would have been made in it."""
+
+    def denied(path: Path, **_: object) -> str:
+        raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr("pathlib.Path.mkdir", denied)
-    assert_refused(
-        project,
-        labpipe("run", project / "pipeline.yaml", "-o", project / "out"),
-        f"{project}: permission denied",
-    )
+    ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out")
+    assert_refused(project, ended, f"error: {project}: permission denied")
+    assert "labpipe-" not in ended.err
 
 
 def hears_ctrl_c() -> None:

@@ -31,7 +31,7 @@ FIT = a_fit("day 1", {"k": (134.4e3, 100.0), "c": (3.7, 0.02)}, correlation=0.5)
 def rules(text: str) -> tuple[Rule, ...]:
     """The rules below `accept:`; ConfigErrors with all their faults."""
     faults = Faults()
-    listed = read_rules("accept", parse_marked(text, "p.yaml"), faults, ("axial", "margins"))
+    listed = read_rules("accept", parse_marked(text, "p.yaml"), faults, ("axial", "margins"), {})
     faults.raise_any()
     return listed
 

@@ -15,9 +15,11 @@ import pyuff
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
+from labpipe.artefacts.identification_file import read_identification
 from labpipe.cli.start import examples
 from labpipe.project.first_guess import STANDS_OUT, guess_channels, peaks_of, time_columns
 from labpipe.project.pipeline_file import load_pipeline
+from labpipe.project.proposals import pattern_of_names
 from labpipe.project.scaffold import MARK
 from labpipe.project.settings_reader import DECIDE
 
@@ -138,6 +140,86 @@ def test_several_recordings_become_several_tests(tmp_path: Path, labpipe) -> Non
     assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
     fits = json.loads((tmp_path / "out/identification.json").read_text())["fits"]
     assert [fit["test"] for fit in fits] == ["one", "two"]
+
+
+@pytest.mark.parametrize(
+    ("names", "pattern"),
+    [
+        (["run_01", "run_02"], "run_{run}"),
+        (["1", "2", "10"], "{number}"),
+        (["500rpm_1", "500rpm_2", "1000rpm_1"], "{speed}_{}"),
+        (["500rpm_run1", "1000rpm_run2"], "{speed}_run{}"),
+        (["speed500_load2kN_x", "speed1000_load1kN_x"], "speed{speed}_load{load}_x"),
+        (["427N-up", "427N-down", "1kN-up"], "{load}-{case}"),
+        (["0.5mm 20°C", "1.0mm 30°C"], "{gap} {temperature}"),
+        (["T20C_1", "T30C_1"], "T{T}C_1"),
+        (["1500_rpm", "2000_rpm"], "{speed}_rpm"),
+        (["up 10Hz", "up 20Hz"], "up {frequency}"),
+        (["one", "two"], ""),
+        (["run_1", "run_2_bad"], ""),
+        (["a{1}", "a{2}"], ""),
+    ],
+)
+def test_numbers_in_names_are_conditions(names: list[str], pattern: str) -> None:
+    assert pattern_of_names(names) == pattern
+
+
+def campaign(folder: Path, stiffness: dict[str, float]) -> None:
+    """Recordings of one mass on springs of different *stiffness* [N/m] by name, 5-80 Hz, 0.1 % noise."""
+    rng, lines = np.random.default_rng(9), np.arange(5, 81)
+    folder.mkdir()
+    time, omega = np.arange(PERIOD * REPEATS) / RATE, 2 * np.pi * lines
+    phasors = np.exp(1j * (np.outer(time, omega) - np.pi * lines * (lines - 1) / lines.size))
+    for name, k in stiffness.items():
+        y = 1e6 * (phasors / (k - MASS * omega**2 + 1j * omega * C)).real.sum(1)
+        columns = [time, *(x + 1e-3 * x.std() * rng.normal(size=x.size) for x in (phasors.real.sum(1), y))]
+        rows = "\n".join(",".join(f"{value:.8g}" for value in row) for row in zip(*columns, strict=True))
+        (folder / f"{name}.csv").write_text(f"time [s],force [N],y [um]\n{rows}\n")
+
+
+@pytest.mark.parametrize("kind", ["numbered", "speeds", "table"])
+def test_a_folder_of_recordings_is_a_campaign(tmp_path: Path, labpipe, kind: str) -> None:
+    """Stiffness of every test within four standard errors, whose resonances lie from 29 to 45 Hz; the band of
+    the first alone would not hold those of the others.
+    """
+    names = {
+        "numbered": [f"run_{n:02d}" for n in range(1, 6)],
+        "speeds": [f"{speed}rpm_{n}" for speed in (500, 1000) for n in (1, 2)],
+        "table": ["b17", "c4", "a99"],
+    }[kind]
+    stiffness = {name: 70e3 + 90e3 * n / (len(names) - 1) for n, name in enumerate(names)}
+    campaign(tmp_path / "data", stiffness)
+    (tmp_path / "data/README.txt").write_text("by hand\n")
+    if kind == "table":
+        rows = (f"{name}.csv;{500 * n};0,{n + 1}" for n, name in enumerate(names))
+        table = "\n".join(("file;speed [rpm];load (kN)", *rows))
+        (tmp_path / "data/conditions.csv").write_text(table)
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "data")
+    assert ended.code == 0 and "left out: README.txt: " in ended.out and "decided" not in ended.out
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    each = {"numbered": ("../data/run_*.csv", "run_{run}"), "speeds": ("../data/*.csv", "{speed}_{}")}.get(
+        kind
+    )
+    assert each is None or (f'each: "{each[0]}"' in text and f'pattern: "{each[1]}"' in text)
+    assert labpipe("run", tmp_path / "rig/pipeline.yaml", "-o", tmp_path / "out").code == 0
+    result = read_identification(tmp_path / "out/identification.json")
+    assert {fit.test for fit in result.fits} == set(names)
+    for fit in result.fits:
+        k = fit.parameter("k")
+        assert abs(k.value - stiffness[fit.test]) < 4 * k.std_error < 0.01 * k.value
+    (last,) = (response for response in result.responses if response.name == names[-1])
+    assert dict(last.conditions) == {
+        "numbered": {"run": "05"},
+        "speeds": {"speed": "1000rpm"},
+        "table": {"speed": "1000 rpm", "load": "0.3 kN"},
+    }[kind]
+
+
+def test_a_folder_without_a_recording_is_refused(tmp_path: Path, labpipe) -> None:
+    (tmp_path / "empty").mkdir()
+    ended = labpipe("init", tmp_path / "rig", tmp_path / "empty")
+    assert ended.code == 2 and "holds no recording that can be read" in ended.err
+    assert not (tmp_path / "rig").exists()
 
 
 def test_frfs_need_no_rig_file(tmp_path: Path, labpipe) -> None:

@@ -79,7 +79,7 @@ def test_a_bias_that_nobody_knows_is_not_accepted_unless_it_is_expected() -> Non
 def test_one_rule_says_which_warnings_of_every_fit_refuse_a_result() -> None:
     faults = Faults()
     node = parse_marked("warnings: [not leakage, also feedback]", "p.yaml")
-    rules = read_rules("accept", node, faults, ("axial", "radial"))
+    rules = read_rules("accept", node, faults, ("axial", "radial"), {})
     assert len(faults) == 0
     assert [(rule.fit, rule.bound) for rule in rules] == [
         (fit, bound) for fit in ("axial", "radial") for bound in ("not leakage", "also feedback")
@@ -89,12 +89,13 @@ def test_one_rule_says_which_warnings_of_every_fit_refuse_a_result() -> None:
 @pytest.mark.parametrize(("rule", "passed"), [("k.covers: 1.15 N/m", True), ("k.covers: 1.25 N/m", False)])
 def test_the_interval_of_a_fit_is_held_against_a_value(rule: str, passed: bool) -> None:
     """k = 1 N/m with a standard error of 0.1 N/m: 95 % from 0.8 to 1.2 N/m, within 2 %."""
-    (found,) = read_rules("accept", parse_marked(f"axial.{rule}", "p.yaml"), Faults(), ("axial",))
+    (found,) = read_rules("accept", parse_marked(f"axial.{rule}", "p.yaml"), Faults(), ("axial",), {})
     (outcome,) = judge([found], [a_fit("test", {"k": (1.0, 0.1)})], {})
     assert outcome.passed is passed
 
 
 def test_an_unknown_attribute_is_not_taken_for_the_value() -> None:
-    found = read_rules("accept", parse_marked("axial.k.exapnded: <= 2 N/m", "p.yaml"), Faults(), ("axial",))
+    node = parse_marked("axial.k.exapnded: <= 2 N/m", "p.yaml")
+    found = read_rules("accept", node, Faults(), ("axial",), {})
     with pytest.raises(ConfigError, match=r"'k' has no 'exapnded'; did you mean 'expanded'\?"):
         judge(found, [a_fit("test", {"k": (1.0, 0.1)})], {})

@@ -181,3 +181,32 @@ def test_shipped_files_meet_the_schema_that_editors_use(kind: str, path: Path) -
     assert set(SCHEMAS) == set(SHIPPED)
     assert check_against(schema, load_marked(path).plain()) == []
     assert check_against(schema, {"titel": "x"}) != []
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict", "hint"),
+    [
+        ("preload-series.yaml", "axial-trend.verdict: risng", "did you mean 'rising'?"),
+        ("preload-series.yaml", "radial-ratio.verdict: 1.12", "known: stiffer than theory, softer"),
+        ("repeatability.yaml", "stiffness.verdict: setting differs", "did you mean 'settings differ'?"),
+        ("rotating-vs-stationary.yaml", "rotation.verdict: no diference", "did you mean 'no difference'?"),
+        ("reciprocity.yaml", "reciprocity.verdict: reciprocl", "did you mean 'reciprocal'?"),
+        ("magnetic-sensitivity.yaml", "sensitivity.verdict: C", "known: zone A, zone B, zone C, zone D"),
+        ("levitated-certificate.yaml", "certificate.verdict: acepted", "did you mean 'accepted'?"),
+        ("journal-unbalance.yaml", "run_ups.joint.verdict: not rejectd", "did you mean 'not rejected'?"),
+    ],
+)
+def test_a_misspelt_verdict_is_a_fault_at_its_line(
+    tmp_path: Path, name: str, verdict: str, hint: str
+) -> None:
+    """The rule would fail, whatever is measured."""
+    address, _, word = verdict.partition(": ")
+    lines = (ROOT / "pipelines" / name).read_text().replace("../", f"{ROOT}/").splitlines()
+    (number,) = (n for n, line in enumerate(lines) if line.strip().startswith(f"{address}:"))
+    lines[number] = f"  {verdict}"
+    (tmp_path / name).write_text("\n".join(lines))
+    with pytest.raises(ConfigErrors) as faults:
+        load_pipeline(tmp_path / name)
+    (fault,) = faults.value.faults
+    assert fault.where == f"{tmp_path / name}:{number + 1}:3"
+    assert f"unknown verdict '{word}'" in fault.what and fault.hint.startswith(hint)

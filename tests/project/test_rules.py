@@ -16,7 +16,7 @@ FITS = ("direct", "sliding", "study")
 def rules(text: str) -> tuple[Rule, ...]:
     """The rules below `accept:`; ConfigErrors with all their faults."""
     faults = Faults()
-    found = read_rules("accept", parse_marked(text, "p.yaml"), faults, FITS)
+    found = read_rules("accept", parse_marked(text, "p.yaml"), faults, FITS, {})
     faults.raise_any()
     return found
 
@@ -70,7 +70,7 @@ def test_a_list_of_rules_are_rules_of_one_address() -> None:
 
 
 def test_no_section_has_no_rules() -> None:
-    assert read_rules("accept", None, Faults(), FITS) == ()
+    assert read_rules("accept", None, Faults(), FITS, {}) == ()
 
 
 @pytest.mark.parametrize(

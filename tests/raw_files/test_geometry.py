@@ -20,6 +20,7 @@ from labpipe.raw_files.geometry import read_geometry
 from labpipe.raw_files.uff_write import write_shapes_uff
 from labpipe.records.fit_details import Modes
 from labpipe.records.identification import Fit
+from labpipe.records.response import FrequencyResponse, Port
 from tests.methods.modal.structures import beam, beam_geometry
 
 
@@ -158,6 +159,30 @@ def test_shapes_are_read_by_another_program(fit: Fit, tmp_path: Path) -> None:
         assert not mode["r1"].any() and not mode["r3"][[0, -1]].any()
     again = read_geometry(tmp_path / "shapes.uff")
     np.testing.assert_array_equal(again.lines, beam_geometry().lines)
+
+
+def test_modal_a_and_b_scale_shapes_to_residues(tmp_path: Path) -> None:
+    """By the state-space form of Allemang (1999), a_r = psi^T (2 lambda M + C) psi and b_r = -lambda a_r, of
+    two masses with one damper to ground, whose modes are complex; psi the eigenvectors of scipy, largest 1.
+    """
+    mass, stiffness = np.diag([1.0, 1.5]), np.array([[3e5, -1e5], [-1e5, 2.5e5]])
+    damping = np.array([[30.0, -2.0], [-2.0, 2.0]])
+    frequency = np.arange(30.0, 150.0, 0.1)
+    w = 2 * np.pi * frequency[:, None, None]
+    matrix = np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
+    noise = np.random.default_rng(5).normal(size=(2, *matrix.shape)) * 1e-6 * np.abs(matrix).max()
+    ports = tuple(Port(f"{n}.z", f"{n}.z", f"{n}.z") for n in (1, 2))
+    response = FrequencyResponse(frequency, matrix + noise[0] + 1j * noise[1], ports, ports, name="masses")
+    write_shapes_uff(tmp_path / "masses.uff", identify(response, FitSettings("modal", name="masses")))
+    zero, one = np.zeros((2, 2)), np.eye(2)
+    state = np.block([[zero, one], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
+    poles, vectors = np.linalg.eig(state)
+    for n, index in enumerate(np.argsort(np.where(poles.imag > 0, poles.imag, np.inf))[:2]):
+        psi = vectors[:2, index] / vectors[np.argmax(np.abs(vectors[:2, index])), index]
+        modal_a = psi @ (2 * poles[index] * mass + damping) @ psi
+        mode = pyuff.UFF(str(tmp_path / "masses.uff")).read_sets(2 + n)
+        assert mode["modal_a"] == pytest.approx(modal_a, rel=1e-3)
+        assert mode["modal_b"] == pytest.approx(-poles[index] * modal_a, rel=1e-3)
 
 
 def test_directions_alone_are_those_of_one_node_and_tilts_are_left_out(fit: Fit, tmp_path: Path) -> None:

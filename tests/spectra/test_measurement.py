@@ -167,6 +167,25 @@ def test_no_scale_of_the_numbers_changes_the_result(scale: float) -> None:
     np.testing.assert_allclose(other.covariance, plain.covariance, rtol=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "message"),
+    [(3.0, "f differs from period to period, and the responses with it"), (np.inf, "no line of the force f")],
+)
+def test_a_force_that_changes_between_periods_is_not_taken_for_noise(stiffness: float, message: str) -> None:
+    """Random periodic: the phases of every block are drawn anew, its amplitudes are one at all lines. A force
+    as irregular that moves nothing may well be noise of its channel.
+    """
+    rng = np.random.default_rng(8)
+    n_sample, lines = round(RATE), np.arange(1, 60)
+    blocks = np.zeros((12, n_sample // 2 + 1), complex)
+    blocks[:, lines] = np.exp(2j * np.pi * rng.random((12, lines.size)))
+    force = np.fft.irfft(blocks, n_sample).ravel() * n_sample
+    samples = np.column_stack([force, force / stiffness]) + 1e-3 * rng.normal(size=(force.size, 2))
+    with pytest.raises(DataError, match=message) as fault:
+        measure([Recording((FORCE, X), samples, RATE, "blocks")], PERIODIC)
+    assert ("realisations: true" in fault.value.hint) == np.isfinite(stiffness)
+
+
 def test_hum_in_one_force_channel_makes_no_line(rng: np.random.Generator) -> None:
     # 50 Hz in the force of one run only, where no force is meant to act: the other run knows nothing of that
     # direction there.

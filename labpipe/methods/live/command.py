@@ -108,28 +108,28 @@ def live(
     goals = [Goal.of(text) for rule in rules for text in rule.split(",")]
     if not goals and "live" in pipeline.sections:
         goals = pipeline.sections["live"].goals
-    path = None if source in (None, "-") else Path(source)
-    with options.asked_to_stop() as asked:
+    recording = None if source in (None, "-") else Path(source)
+    with options.asked_to_stop() as stop_requests:
         if simulate is not None:
             stream: Any = _play(simulate, run_name, seed, speed, rig)
-        elif path is None:
-            keep = None if output is None else output / FRAMES
+        elif recording is None:
+            kept_frames = None if output is None else output / FRAMES
             if sys.stdin.isatty():
                 raise ConfigError("standard input is a terminal", hint="pipe frames into it, or name a file")
-            stream = Frames(sys.stdin.buffer, columns_of(rig), keep)
+            stream = Frames(sys.stdin.buffer, columns_of(rig), kept_frames)
             if stream.n_earlier and not quiet:
-                echo(f"goes on with the {stream.n_earlier} frames that are kept in {keep}", err=True)
+                echo(f"goes on with the {stream.n_earlier} frames that are kept in {kept_frames}", err=True)
         else:
-            stream = open_source(path, columns_of(rig))
-        session = Session(pipeline, rig, stream, goals, idle, path, stopped=lambda: bool(asked))
-        enough = _follow(session, as_json, page, bell, quiet)
-        if asked and not quiet and not as_json:
+            stream = open_source(recording, columns_of(rig))
+        session = Session(pipeline, rig, stream, goals, idle, recording, stopped=lambda: bool(stop_requests))
+        goals_hold = _follow(session, as_json, page, bell, quiet)
+        if stop_requests and not quiet and not as_json:
             _echo_by_hand(session)
         if not quiet and not as_json:
             _echo_left_out(session)
         if output is not None:
             _finish(session, pipeline_path, overrides, output, quiet or as_json)
-    return 0 if enough or not goals else 1
+    return 0 if goals_hold or not goals else 1
 
 
 def _check_source(source: str | None, simulate: Path | None) -> None:
@@ -143,21 +143,21 @@ def _check_source(source: str | None, simulate: Path | None) -> None:
 def _follow(session: Session, as_json: bool, page: bool, bell: bool, quiet: bool) -> bool:
     """Show every update; whether it was enough."""
     with _display(session, as_json, page, quiet) as show:
-        last, shown = None, 0.0
-        for last in session.updates():
+        update, drawn_at = None, 0.0
+        for update in session.updates():
             if as_json:
-                line = {**last.as_json(), "without_scatter_of_hits": _without_scatter(session)}
-                click.echo(json.dumps(line, allow_nan=False))
-            if last.stop or time.monotonic() - shown > PICTURE:
-                show(last)
-                shown = time.monotonic()
-            if last.stop:
+                entry = {**update.as_json(), "without_scatter_of_hits": _without_scatter(session)}
+                click.echo(json.dumps(entry, allow_nan=False))
+            if update.stop or time.monotonic() - drawn_at > PICTURE:
+                show(update)
+                drawn_at = time.monotonic()
+            if update.stop:
                 break
-        if last is not None:
-            show(last)
-    if last is not None and last.stop and bell:
+        if update is not None:
+            show(update)
+    if update is not None and update.stop and bell:
         click.echo("\a", err=True, nl=False)
-    return last is not None and last.stop
+    return update is not None and update.stop
 
 
 @contextmanager
@@ -165,23 +165,23 @@ def _display(session: Session, as_json: bool, page: bool, quiet: bool) -> Iterat
     """What shows an update: a page, and a table on the terminal that is drawn anew, or lines elsewhere."""
     from labpipe.methods.live.view import Page, course, headline, rows_of
 
-    silent, counted = as_json or quiet, -1
-    with ExitStack() as opened:
-        server = opened.enter_context(closing(Page())) if page else None
+    silent, shown_averages = as_json or quiet, -1
+    with ExitStack() as displays:
+        server = displays.enter_context(closing(Page())) if page else None
         if server is not None:
             echo(f"page: {server.address}", err=True)
         console = None if silent else _console()
         if console is not None:
-            opened.enter_context(console)
+            displays.enter_context(console)
 
         def show(update: Update) -> None:
-            nonlocal counted
+            nonlocal shown_averages
             if server is not None:
                 server.show(course(session, update))
             if console is not None:
                 console.update(_picture(session, update), refresh=True)
-            elif not silent and (update.stop or update.averages != counted):
-                counted = update.averages
+            elif not silent and (update.stop or update.averages != shown_averages):
+                shown_averages = update.averages
                 rows = rows_of(session, update)
                 values = "; ".join(f"{name} {value}" for name, value, goal, _ in rows if goal)
                 echo(f"{headline(session, update)} {values}".rstrip())
@@ -214,7 +214,9 @@ def _picture(session: Session, update: Update) -> Any:
         table.add_row(*(Text(printable(cell)) for cell in row))
     colour = "green" if update.stop else ""
     parts: list[Any] = [Text(printable(headline(session, update)), style=colour), table]
-    parts += [Text(printable(f"{f.code}: {f.message}"), style="yellow") for f in update.findings]
+    parts += [
+        Text(printable(f"{finding.code}: {finding.message}"), style="yellow") for finding in update.findings
+    ]
     parts += [Text(printable(event), style="dim") for event in update.events]
     return Group(*parts)
 
@@ -222,9 +224,9 @@ def _picture(session: Session, update: Update) -> Any:
 def _echo_last(session: Session) -> None:
     from labpipe.methods.live.view import HEADER, rows_of
 
-    for last in session.seen[-1:]:
-        echo_table(HEADER, rows_of(session, last))
-        for finding in last.findings:
+    for update in session.seen[-1:]:
+        echo_table(HEADER, rows_of(session, update))
+        for finding in update.findings:
             echo(f"{finding.code}: {finding.message}")
 
 
@@ -245,14 +247,14 @@ def _without_scatter(session: Session) -> list[str]:
     bench, frf = session.bench, session.pipeline.frf
     if not isinstance(bench, Bench) or frf is None or frf.excitation != "impact" or frf.damping_window:
         return []
-    each = [fit.settings.name for fit in bench.fits if fit.settings.repeats == "each"]
-    return each if len(bench.layout.inputs) == 1 else []
+    per_hit = [fit.settings.name for fit in bench.fits if fit.settings.repeats == "each"]
+    return per_hit if len(bench.layout.inputs) == 1 else []
 
 
 def _echo_left_out(session: Session) -> None:
-    if each := _without_scatter(session):
+    if fits := _without_scatter(session):
         what = "labpipe run takes each hit for a repeat and adds their scatter beyond noise to its intervals"
-        echo(f"{', '.join(each)}: {what}, which these leave out; repeats: pool leaves it out there as well")
+        echo(f"{', '.join(fits)}: {what}, which these leave out; repeats: pool leaves it out there as well")
 
 
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
@@ -268,9 +270,9 @@ def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> A
     files = simulate(load_virtual_rig(rig_path), seed, [run_name] if run_name else None).files
     tables = [file.columns for file in files.values() if isinstance(file, LoggedTable)]
     columns = columns_of(rig)
-    chosen = next((table for table in tables if set(columns) <= set(table)), tables[0])
-    check_names(rig_path, columns, list(chosen))
-    samples = np.stack([chosen[name] for name in columns], axis=1)
+    recorded = next((table for table in tables if set(columns) <= set(table)), tables[0])
+    check_names(rig_path, columns, list(recorded))
+    samples = np.stack([recorded[name] for name in columns], axis=1)
     rate = rig.sample_rate
     if rate is None:
         screen = TimeAxisScreen(columns[0])
@@ -296,9 +298,11 @@ def _finish(
         with output_folder(output) as folder:
             files = session.stream.recordings(folder.write_path)
         files = [output / path.name for path in files]
-    named = json.dumps([str(path.resolve()) for path in files])
+    recordings = json.dumps([str(path.resolve()) for path in files])
     goals = json.dumps([goal.text for goal in session.goals])
-    pipeline = load_pipeline(pipeline_path, (*overrides, f"recordings={named}", f"live={{until: {goals}}}"))
+    pipeline = load_pipeline(
+        pipeline_path, (*overrides, f"recordings={recordings}", f"live={{until: {goals}}}")
+    )
     with output_folder(output) as folder:
         identification = run(pipeline, folder, Manner(silent))
         outdate_reports(folder, pipeline.report.formats)

@@ -12,7 +12,7 @@ from labpipe.errors import ConfigError
 from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MAGNETIC, MagneticFile, stability_findings, verdict
 from labpipe.methods.magnetic_bearing.certificate import certificate, resolve
-from labpipe.methods.magnetic_bearing.limits import LoopCertificateSettings, decrement_certificate
+from labpipe.methods.magnetic_bearing.limits import VERDICTS, LoopCertificateSettings, decrement_certificate
 from labpipe.methods.magnetic_bearing.loop import dynamic_stiffness
 from labpipe.methods.magnetic_bearing.loop_fit import (
     LoopFit,
@@ -272,12 +272,19 @@ PREDICTION = ComparisonKind(
     prediction_of_tests,
     keys=("fit", "parameter", "over", "theory", "estimate"),
     needs=("fit", "theory"),
+    verdicts=("as predicted", "not as predicted", "unstable"),
     loop=True,
 )
-SENSITIVITY = ComparisonKind(sensitivity_of_test, keys=("before", "after", "theory", "estimate"), loop=True)
+SENSITIVITY = ComparisonKind(
+    sensitivity_of_test,
+    keys=("before", "after", "theory", "estimate"),
+    verdicts=tuple(f"zone {zone}" for zone in "ABCD"),
+    loop=True,
+)
 CERTIFICATE = ComparisonKind(
     certificate_of_test,
     keys=("fit", "before", "after", "theory", "estimate"),
+    verdicts=VERDICTS,
     loop=True,
     section="certificate",
     settings=LoopCertificateSettings,

@@ -90,7 +90,7 @@ class LoopCertificateSettings(Settings):
         return tuple(filter(None, (*self.before, *self.after, self.output, self.displacement, self.current)))
 
 
-KEPT, BROKEN, UNDECIDED = "accepted", "not accepted", "undecided"
+KEPT, BROKEN, UNDECIDED = VERDICTS = "accepted", "not accepted", "undecided"
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.display import chance_text
@@ -39,6 +40,7 @@ from labpipe.methods.modal.moved import (
     add_moved_modes,
     align_measured,
     alignment,
+    loaded_findings,
     moved_references,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
@@ -49,8 +51,8 @@ from labpipe.methods.modal.whole_covariance import (
     covariance_fit,
     regular,
 )
-from labpipe.records.finding import Finding, Parameter
-from labpipe.records.fit_details import StabilisationDiagram
+from labpipe.records.finding import NORMAL, Finding, Parameter, note
+from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.identification import Fit, FittedCurve, Goodness
 from labpipe.records.response import BlockCovariance, FrequencyResponse, shown_ports
 from labpipe.spectra.bands import lines_in
@@ -136,16 +138,19 @@ def modal_findings(
     return tuple(warnings)
 
 
-def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
-    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
-    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
-    if not loaded:
-        return ()
-    message = (
-        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
-        "fewer show the mode by itself. Measure more points where it moves"
-    )
-    return (Finding("moved-mode", message),)
+def moved_poles(named: Sequence[float], fit: Fit, modes: Modes) -> tuple[Finding, ...]:
+    """A note of poles *named* by hand [Hz] that are modes elsewhere: farther than a half-power width, the
+    interval of f_n, and the share by which named frequencies differ that are two modes.
+    """
+    frequency = modes.frequency
+    places = linear_sum_assignment(np.abs(np.log(frequency[:, None] / np.array(named))))[1]
+    moved = []
+    for n, (place, f_n, ratio) in enumerate(zip(places, frequency, modes.damping_ratio, strict=True), 1):
+        reach = NORMAL * (fit.parameter(f"f_n_{n}").full_error or 0.0)
+        if abs(f_n - named[place]) > max(reach, 2 * ratio * f_n, lscf.APART * f_n):
+            moved.append(f"the pole named at {named[place]:g} Hz is the mode at {f_n:.4g} Hz")
+    hint = "No mode stands out where it was named; the diagram in the report shows the poles that return"
+    return (note("moved-pole", f"{'; '.join(moved)}. {hint}"),) if moved else ()
 
 
 def mass_findings(parameters: Sequence[Parameter]) -> tuple[Finding, ...]:
@@ -275,12 +280,14 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     refined = estimate.refined
     returns = diagram.returns(refined.poles, refined.participation)
     record = _diagram_record(sides.lines, diagram)
-    driving = model_error.strongest_points(refined, sides.driving_points)
     modes = replace(
-        model_error.shape_record(refined, terms, points, references, sides.forces_move, record, returns),
-        driving_points=tuple(place.dof for place in driving),
+        model_error.shape_record(
+            refined, terms, points, references, sides.forces_move, record, returns, sides.driving_points
+        ),
         geometry=modal.structure,
     )
+    if modal.poles and not modal.ratios:
+        fit = replace(fit, findings=(*fit.findings, *moved_poles(modal.poles, fit, modes)))
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 

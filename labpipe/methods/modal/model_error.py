@@ -31,13 +31,15 @@ def shape_record(
     forces_move: bool,
     diagram: StabilisationDiagram | None,
     returns: FloatArray,
+    driving: Sequence[DrivingPoint],
 ) -> Modes:
     """The record of the modes in ascending frequency, every shape 1 at its largest point; *returns* (n_mode,)
     [1] in the order of *refined*.
     """
-    order = np.argsort(np.abs(refined.poles))
+    order = ascending(refined)
+    strongest = strongest_points(refined, driving)
     poles, raw, participation = refined.poles[order], refined.shapes[:, order], refined.participation[order]
-    scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(order.size)]
+    scale = raw[np.argmax(np.abs(raw), axis=0), np.arange(len(order))]
     shapes = raw / scale
     of_pole = [function for _, _, function in _pole_functions(refined)]
     rows = [[function(np.array([pole.real, pole.imag])) for function in of_pole] for pole in poles]
@@ -60,6 +62,12 @@ def shape_record(
         upper=terms.upper,
         diagram=diagram,
         returns=returns[order],
+        driving_points=tuple(place.dof for place in strongest),
+        modal_a=np.array(
+            [shapes[d.output, n] / (scale[n] * participation[n, d.input]) for n, d in enumerate(strongest)]
+        )
+        if strongest
+        else None,
     )
 
 

@@ -6,7 +6,7 @@ The points are taken to the mean pole of each mode, each through its own fit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from labpipe.distributions import chi2_tail, student_quantile
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
+from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
 from labpipe.methods.modal.likelihood import (
     FrfLines,
@@ -505,3 +506,15 @@ def unloaded_values(
         mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
         pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
     return pieces
+
+
+def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
+    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
+    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
+    if not loaded:
+        return ()
+    message = (
+        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
+        "fewer show the mode by itself. Measure more points where it moves"
+    )
+    return (Finding("moved-mode", message),)

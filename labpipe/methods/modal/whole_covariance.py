@@ -103,7 +103,7 @@ class ModalReceptance:
         places = np.where(self.free, np.cumsum(self.free) - 1, -1)
         ends = 2 * self.n_mode * np.array([self.n_input, self.n_input + self.n_output])
         common, *own = np.split(places, ends)
-        moving = np.concatenate([common, *(of.reshape(self.n_output, -1)[output] for of in own)])
+        moving = np.concatenate([common, *(part.reshape(self.n_output, -1)[output] for part in own)])
         return moving[moving >= 0]
 
     @cached_property
@@ -127,19 +127,19 @@ class ModalReceptance:
         numbers[self.free] = parameters
         values = numbers[0::2] + 1j * numbers[1::2]
         ends = np.cumsum([self.n_mode, self.n_mode * (self.n_input - 1), self.n_mode * self.n_output])
-        poles, free, shapes, factors = np.split(values, ends)
+        poles, free_factors, shapes, factors = np.split(values, ends)
         participation = np.ones((self.n_mode, self.n_input), np.complex128)
-        participation[self._free] = free
-        of_terms = factors.reshape(self.n_output, self.n_input, -1)
-        return poles, participation, shapes.reshape(self.n_output, -1), of_terms
+        participation[self._free] = free_factors
+        by_element = factors.reshape(self.n_output, self.n_input, -1)
+        return poles, participation, shapes.reshape(self.n_output, -1), by_element
 
     def join(self, refined: Refined, measured: Measured) -> FloatArray:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
         rest best.
         """
         poles = self._sum_modes(refined.poles, refined.participation, refined.shapes)
-        rest = (measured.matrix - poles).reshape(measured.omega.size, -1)
-        factors = (self.terms.basis.conj().T @ (rest * self._form[:, None])).T
+        residual = (measured.matrix - poles).reshape(measured.omega.size, -1)
+        factors = (self.terms.basis.conj().T @ (residual * self._form[:, None])).T
         free = refined.participation[self._free]
         values = np.concatenate([refined.poles, free, refined.shapes.ravel(), factors.ravel()])
         return np.stack([values.real, values.imag], axis=-1).ravel()[self.free]
@@ -159,8 +159,8 @@ class ModalReceptance:
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """H (n_line, n_output, n_input) [m/N] on the lines of the terms, of random data the expected H1."""
         poles, participation, shapes, factors = self.split(parameters)
-        of_terms = np.einsum("lt,oit->loi", self.basis, factors)
-        return self._sum_modes(poles, participation, shapes) + of_terms
+        residual_terms = np.einsum("lt,oit->loi", self.basis, factors)
+        return self._sum_modes(poles, participation, shapes) + residual_terms
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""
@@ -174,17 +174,17 @@ class ModalReceptance:
         _, participation, shapes, _ = self.split(parameters)
         (a, b), (a_slope, b_slope) = (tuple(part[lines] for part in pair) for pair in functions)
         slopes = np.zeros((self.free.size // 2, 2, len(a), self.n_output, self.n_input), np.complex128)
-        place = iter(slopes)
+        entry = iter(slopes)
         for mode in range(self.n_mode):
             residue = np.outer(shapes[:, mode], participation[mode])
-            next(place)[:] = _pair(a_slope[:, mode], b_slope[:, mode], residue)
+            next(entry)[:] = _pair(a_slope[:, mode], b_slope[:, mode], residue)
         for mode, column in zip(*self._free, strict=True):
-            next(place)[..., column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
+            next(entry)[..., column] = _pair(a[:, mode], b[:, mode], shapes[:, mode])
         for output, mode in np.ndindex(self.n_output, self.n_mode):
-            next(place)[:, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
+            next(entry)[:, :, output] = _pair(a[:, mode], b[:, mode], participation[mode])
         for output, column in np.ndindex(self.n_output, self.n_input):
             for term in self.basis[lines].T:
-                next(place)[:, :, output, column] = term, 1j * term
+                next(entry)[:, :, output, column] = term, 1j * term
         return slopes.reshape(self.free.size, *slopes.shape[2:])[self.free]
 
 
@@ -220,9 +220,9 @@ class ModalRows:
         def blocks() -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
             for part, places, elements in self._parts():
                 for lines in line_blocks(part):
-                    sides = part[lines].reshape(-1, places.size), residual[lines, elements].ravel()
-                    jacobian, rest = (np.concatenate([side.real, side.imag]) for side in sides)
-                    yield places, jacobian, rest
+                    both = part[lines].reshape(-1, places.size), residual[lines, elements].ravel()
+                    jacobian, right_side = (np.concatenate([side.real, side.imag]) for side in both)
+                    yield places, jacobian, right_side
 
         return linearise_blocks(blocks, self.values.size)
 
@@ -238,10 +238,10 @@ class ModalRows:
         if np.count_nonzero(blocks) < np.count_nonzero(weights):
             yield self, np.arange(self.values.size), slice(None)
             return
-        one = replace(model, n_output=1)
+        one_output = replace(model, n_output=1)
         for output, block in enumerate(blocks):
             places = model.places_of(output)
-            problem = OutputError(self.problem.measured, one, block)
+            problem = OutputError(self.problem.measured, one_output, block)
             elements = slice(output * n_input, (output + 1) * n_input)
             yield ModalRows(problem, self.values[places], self.functions), places, elements
 
@@ -272,7 +272,8 @@ def _sum(
 ) -> ComplexArray:
     residue = shapes[:, None, :] * participation.T[None]
     a, b = (
-        np.einsum("lm,oim->loi", of, r) for of, r in zip(functions, (residue, residue.conj()), strict=True)
+        np.einsum("lm,oim->loi", function, factor)
+        for function, factor in zip(functions, (residue, residue.conj()), strict=True)
     )
     return a + b
 
@@ -306,16 +307,16 @@ def covariance_fit(
     problem = OutputError(measured, model, weights)
     minimum = minimise(problem, start, linearise=lambda values: ModalRows(problem, values).linearise())
     rows = ModalRows(problem, minimum.values)
-    linear = rows.linearise()
-    inverse = inverse_of(linear)
+    linearisation = rows.linearise()
+    inverse = inverse_of(linearisation)
     covariance = uncertainty.inflation * inverse
     noise = measured.noise or leaking_noise(measured, _Modes(model), minimum.values)
     if noise is not None:
         covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, rows, inverse)
-    reduced = linear.chi2 / dof / uncertainty.excess
-    again = _refine(model, minimum, covariance, refined)
+    reduced = linearisation.chi2 / dof / uncertainty.excess
+    final = _refine(model, minimum, covariance, refined)
     fitted = model.receptance(minimum.values, measured.omega)
-    return ModalEstimate(again, fitted, dof, reduced, uncertainty.p_value(reduced, dof))
+    return ModalEstimate(final, fitted, dof, reduced, uncertainty.p_value(reduced, dof))
 
 
 def regular(measured: Measured) -> Measured:
@@ -326,18 +327,18 @@ def regular(measured: Measured) -> Measured:
     than a share FEW_SINGULAR of the lines are so, or a variance is zero.
     """
     assert measured.covariance is not None
-    alone = singular_lines(measured)
-    if not np.any(alone) or np.mean(alone) > FEW_SINGULAR:
+    singular = singular_lines(measured)
+    if not np.any(singular) or np.mean(singular) > FEW_SINGULAR:
         return measured
     variance = np.einsum("lii->li", measured.covariance).real
     diagonal = variance[:, :, None] * np.eye(variance.shape[1])
-    return replace(measured, covariance=np.where(alone[:, None, None], diagonal, measured.covariance))
+    return replace(measured, covariance=np.where(singular[:, None, None], diagonal, measured.covariance))
 
 
 def _refine(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, before: Refined) -> Refined:
     poles, participation, shapes, _ = model.split(minimum.values)
-    whole = np.zeros((model.free.size, model.free.size))
-    whole[np.ix_(model.free, model.free)] = covariance
+    all_numbers = np.zeros((model.free.size, model.free.size))
+    all_numbers[np.ix_(model.free, model.free)] = covariance
     n, k = 2 * model.n_mode * model.n_input, 2 * model.n_mode
     blocks = [slice(n + k * output, n + k * (output + 1)) for output in range(model.n_output)]
     return replace(
@@ -345,9 +346,9 @@ def _refine(model: ModalReceptance, minimum: Minimum, covariance: FloatArray, be
         poles=poles,
         participation=participation,
         shapes=shapes,
-        covariance=whole[:n, :n],
-        shape_covariance=np.array([whole[block, block] for block in blocks]),
-        crossed=np.array([whole[block, :n] for block in blocks]),
+        covariance=all_numbers[:n, :n],
+        shape_covariance=np.array([all_numbers[block, block] for block in blocks]),
+        crossed=np.array([all_numbers[block, :n] for block in blocks]),
         converged=minimum.converged,
         steps=minimum.steps,
     )

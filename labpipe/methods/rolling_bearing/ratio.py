@@ -489,11 +489,16 @@ def _match_anew(campaign: Campaign, evidence: Evidence, theory: Theory, named: T
 
 
 RATIO = ComparisonKind(
-    ratio_of_tests, keys=(*OF_TESTS, "setting_error", "theory"), needs=("fit", "over", "theory"), conditions=2
+    ratio_of_tests,
+    keys=(*OF_TESTS, "setting_error", "theory"),
+    needs=("fit", "over", "theory"),
+    verdicts=("stiffer than theory", "softer than theory", "as theory"),
+    conditions=2,
 )
 RAYLEIGH = ComparisonKind(
     rayleigh_of_tests,
     keys=(*OF_TESTS, "setting_error", "theory", "level"),
     needs=("fit", "over"),
+    verdicts=("proportional", "not proportional"),
     conditions=2,
 )

@@ -56,7 +56,7 @@ def margin_above(amplification: float) -> float:
     return 0.0 if amplification < LEAST_AMPLIFICATION else 10 + margin_below(amplification)
 
 
-KEPT, BROKEN, UNDECIDED = "kept", "broken", "undecided"
+KEPT, BROKEN, UNDECIDED = DECISIONS = "kept", "broken", "undecided"
 # Probability beyond which a limit counts as kept: its 95 % interval lies on one side.
 SURE = 0.975
 

@@ -99,8 +99,11 @@ class SystemPosterior(Posterior[SystemModel]):
     def chi2(self) -> dict[str, tuple[float, int]]:
         """(chi-square, independent data) by test."""
         return {
-            test.name: (float(r @ r), max(1, round(r.size / getattr(test, "shared", 1.0))))
-            for test, (r, _) in zip(self.tests, self.by_test, strict=True)
+            test.name: (
+                float(residual @ residual),
+                max(1, round(residual.size / getattr(test, "shared", 1.0))),
+            )
+            for test, (residual, _) in zip(self.tests, self.by_test, strict=True)
         }
 
     @cached_property
@@ -135,7 +138,12 @@ class SystemPosterior(Posterior[SystemModel]):
     def enlarged(self) -> dict[str, float]:
         """Groups whose size passed 1.5 times the declared one, with the ratio, the largest first."""
         ratios = {group: size / self.model.groups[group] for group, size in self.sizes.items()}
-        return dict(sorted(((g, r) for g, r in ratios.items() if r > ENLARGED), key=lambda pair: -pair[1]))
+        return dict(
+            sorted(
+                ((group, ratio) for group, ratio in ratios.items() if ratio > ENLARGED),
+                key=lambda pair: -pair[1],
+            )
+        )
 
     @property
     def misfits(self) -> dict[str, float]:
@@ -148,7 +156,11 @@ class SystemPosterior(Posterior[SystemModel]):
         """Unknowns with a declared prior that is more than 3 of its standard uncertainties off."""
         z = (self.values - self.model.means) / self.model.errors
         unknowns = zip(self.model.unknowns, z, strict=True)
-        return [(of.name, float(off)) for of, off in unknowns if abs(off) > 3 and not of.group]
+        return [
+            (unknown.name, float(distance))
+            for unknown, distance in unknowns
+            if abs(distance) > 3 and not unknown.group
+        ]
 
     def error_of(self, gradient: FloatArray, predicted: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """Standard errors (...,) [unit of the prediction], widened, of predictions with *gradient* (...,
@@ -159,11 +171,13 @@ class SystemPosterior(Posterior[SystemModel]):
         variance = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
         error = np.sqrt(np.maximum(variance, 0.0))
         if self.refits is not None:
-            off = np.abs(np.array([predicted(values) for values in self.refits]) - predicted(self.values))
+            distances = np.abs(
+                np.array([predicted(values) for values in self.refits]) - predicted(self.values)
+            )
             # Ranked, since what is not there counts as far off; one more is below the r-th in r / (n + 1).
-            rank = min(math.ceil(0.95 * (len(off) + 1)), len(off))
-            held = np.sort(np.nan_to_num(off, nan=np.inf), axis=0)[rank - 1] / NORMAL
-            error = np.where(np.isfinite(held), held, error)
+            rank = min(math.ceil(0.95 * (len(distances) + 1)), len(distances))
+            reach = np.sort(np.nan_to_num(distances, nan=np.inf), axis=0)[rank - 1] / NORMAL
+            error = np.where(np.isfinite(reach), reach, error)
         return self.widened * error
 
     def covariance_with(self, test: SystemEvidence) -> FloatArray:
@@ -194,27 +208,29 @@ def fit_system(
     groups by EM: tau^2 = (sum m^2 + tr V + 2 tau_0^2) / (n + 2), between the declared size and six times it.
     Equation (system-sizes).
     """
-    whole = np.ones(model.means.size, dtype=bool)
-    problem = SystemProblem(model, tuple(tests), model.means, model.errors, whole, model.means)
+    all_free = np.ones(model.means.size, dtype=bool)
+    problem = SystemProblem(model, tuple(tests), model.means, model.errors, all_free, model.means)
     values = _begin(problem)
-    single = model.in_group("")
+    ungrouped = model.in_group("")
     sizes = dict(model.groups)
     for _ in range(ROUNDS if estimate_sizes else 1):
         values = _descend(problem, values)
-        off, errors = values - model.means, problem.errors.copy()
+        distance, errors = values - model.means, problem.errors.copy()
         if estimate_sizes:
-            spread = np.diag(SystemPosterior(problem=problem, values=values, sizes=sizes).covariance)
+            variances = np.diag(SystemPosterior(problem=problem, values=values, sizes=sizes).covariance)
             for group, declared in model.groups.items():
                 members = model.in_group(group)
-                amount = float(np.sum(off[members] ** 2 + spread[members]))
-                size = np.sqrt((amount + 2 * declared**2) / (members.sum() + 2))
+                squares = float(np.sum(distance[members] ** 2 + variances[members]))
+                size = np.sqrt((squares + 2 * declared**2) / (members.sum() + 2))
                 sizes[group] = float(np.clip(size, declared, MOST_SIZE * declared))
                 errors[members] = sizes[group]
-        far = single & (np.abs(off) > GIVES_WAY * model.errors)
-        errors[single] = model.errors[single]
-        errors[far] = np.sqrt((STUDENT * model.errors[far] ** 2 + off[far] ** 2) / (STUDENT + 1))
-        before, problem = problem.errors, replace(problem, errors=errors)
-        if np.all(np.abs(errors / before - 1) < SETTLED):
+        gives_way = ungrouped & (np.abs(distance) > GIVES_WAY * model.errors)
+        errors[ungrouped] = model.errors[ungrouped]
+        errors[gives_way] = np.sqrt(
+            (STUDENT * model.errors[gives_way] ** 2 + distance[gives_way] ** 2) / (STUDENT + 1)
+        )
+        earlier, problem = problem.errors, replace(problem, errors=errors)
+        if np.all(np.abs(errors / earlier - 1) < SETTLED):
             break
     return SystemPosterior(problem=problem, values=_descend(problem, values), sizes=sizes)
 
@@ -224,36 +240,36 @@ def _begin(problem: SystemProblem) -> FloatArray:
     fits, from draws about it as well; the least of them.
     """
     rng = np.random.default_rng(RESTART_SEED)
-    ends: list[tuple[float, FloatArray]] = []
+    minima: list[tuple[float, FloatArray]] = []
     for attempt in range(RESTARTS + 1):
-        moved = DRAWN * problem.errors * rng.standard_normal(problem.errors.size) if attempt else 0.0
+        offset = DRAWN * problem.errors * rng.standard_normal(problem.errors.size) if attempt else 0.0
         try:
             # A prior that is far off needs longer to come near under enlarged noise.
-            values = _descend(problem, _start(problem, problem.means + moved, STEPS * (1 + 2 * attempt)))
+            values = _descend(problem, _start(problem, problem.means + offset, STEPS * (1 + 2 * attempt)))
         except FitError:
-            if attempt == RESTARTS and not ends:
+            if attempt == RESTARTS and not minima:
                 raise
             continue
         residuals = [residual for residual, _ in problem.parts(values)]
-        n, chi2 = sum(r.size for r in residuals), sum(float(r @ r) for r in residuals)
+        n, chi2 = sum(part.size for part in residuals), sum(float(part @ part) for part in residuals)
         cost = chi2 + float(np.sum(((values - problem.means) / problem.errors) ** 2))
-        ends.append((cost, values))
+        minima.append((cost, values))
         if chi2 < n + 4 * np.sqrt(2 * n):
             break
-    return min(ends, key=itemgetter(0))[1]
+    return min(minima, key=itemgetter(0))[1]
 
 
 def _start(problem: SystemProblem, values: FloatArray, steps: int) -> FloatArray:
     """Values near the minimum: modes and deflections, then responses, then all, noise enlarged less and
     less, so many *steps* with each.
     """
-    early, standing = (
+    of_modes, standing = (
         replace(problem, tests=tuple(test for test in problem.tests if isinstance(test, kinds)))
         for kinds in ((FreeModes, Deflections), (FreeModes, Deflections, Responses))
     )
-    if early.tests:
-        values = _descend(early, values)
-    if len(early.tests) < len(standing.tests):
+    if of_modes.tests:
+        values = _descend(of_modes, values)
+    if len(of_modes.tests) < len(standing.tests):
         values = _temper(standing, values, steps)
     if len(standing.tests) < len(problem.tests):
         # The unbalance alone first, in which the vectors are linear.
@@ -291,16 +307,16 @@ def pulls(posterior: SystemPosterior) -> list[Pull]:
     """
     model, all_pulls = posterior.model, []
     # As the weights count tests, each by itself.
-    covariance, single = posterior.free_covariance, model.in_group("")
+    covariance, ungrouped = posterior.free_covariance, model.in_group("")
     information = np.linalg.inv(covariance)
     for test, (residual, jacobian) in zip(posterior.tests, posterior.by_test, strict=True):
-        without = np.linalg.inv(information - jacobian.T @ jacobian)
-        shift = without @ jacobian.T @ residual
-        spread = np.sqrt(np.maximum(np.diag(without - covariance), 1e-30))
+        left_out = np.linalg.inv(information - jacobian.T @ jacobian)
+        shift = left_out @ jacobian.T @ residual
+        shift_error = np.sqrt(np.maximum(np.diag(left_out - covariance), 1e-30))
         # Rounding makes anything of unknowns that the test does not move; small errors are named by group.
-        z = np.where(single & (spread > 1e-3 * np.sqrt(np.diag(without))), shift / spread, 0.0)
+        z = np.where(ungrouped & (shift_error > 1e-3 * np.sqrt(np.diag(left_out))), shift / shift_error, 0.0)
         worst = int(np.argmax(np.abs(z)))
-        wider = np.sqrt(np.diag(without) / np.diag(covariance))
+        wider = np.sqrt(np.diag(left_out) / np.diag(covariance))
         all_pulls.append(Pull(test.name, model.unknowns[worst].name, float(z[worst]), wider))
     return all_pulls
 
@@ -325,15 +341,15 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
     s = a^T r - a^T J V g and i = a^T a - a^T J V J^T a, chi-square falls by s^2 / i at a change -s / i; V^-1
     = sum J^T J + P, g half the gradient of chi-square. Equation (system-explanation).
     """
-    model, off = posterior.model, posterior.values - posterior.model.means
-    data = sum(jacobian.T @ jacobian for _, jacobian in posterior.by_test)
-    pull = sum(jacobian.T @ residual for residual, jacobian in posterior.by_test)
+    model, distance = posterior.model, posterior.values - posterior.model.means
+    information = sum(jacobian.T @ jacobian for _, jacobian in posterior.by_test)
+    slope = sum(jacobian.T @ residual for residual, jacobian in posterior.by_test)
 
     def least(errors: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         prior = errors**-2.0
-        covariance, gradient = np.linalg.inv(data + np.diag(prior)), pull + prior * off
+        covariance, gradient = np.linalg.inv(information + np.diag(prior)), slope + prior * distance
         step = covariance @ gradient
-        return covariance, step, float(off @ (prior * off) - gradient @ covariance @ gradient)
+        return covariance, step, float(distance @ (prior * distance) - gradient @ covariance @ gradient)
 
     covariance, step, chi2 = least(model.errors)
     best: dict[str, Explanation] = {}
@@ -348,11 +364,11 @@ def explanations(posterior: SystemPosterior) -> list[Explanation]:
             # All others move with it.
             moved = change * (1 - float(covariance[number] @ square[:, number])) - float(step[number])
             value = float(posterior.values[number]) + moved
-            new = Explanation(change**2 * float(content[number]), value, test.name, number)
-            best[unknown.name] = max(best.get(unknown.name, new), new, key=attrgetter("fall"))
+            explanation = Explanation(change**2 * float(content[number]), value, test.name, number)
+            best[unknown.name] = max(best.get(unknown.name, explanation), explanation, key=attrgetter("fall"))
     for group, ratio in posterior.enlarged.items():
-        larger = least(np.where(model.in_group(group), ratio, 1.0) * model.errors)[2]
-        best[group] = Explanation(chi2 - larger, ratio, group=group)
+        chi2_larger = least(np.where(model.in_group(group), ratio, 1.0) * model.errors)[2]
+        best[group] = Explanation(chi2 - chi2_larger, ratio, group=group)
     return sorted(best.values(), key=attrgetter("fall"), reverse=True)
 
 
@@ -362,13 +378,13 @@ def budget(posterior: SystemPosterior, gradient: FloatArray) -> dict[str, float]
     Unknowns that the tests tell together have shares in common, so that all of them may exceed 1. Equation
     (system-budget).
     """
-    moved = posterior.covariance @ gradient
-    whole, shares = float(gradient @ moved), {}
+    response = posterior.covariance @ gradient
+    variance, shares = float(gradient @ response), {}
     names = np.array([unknown.group or unknown.name for unknown in posterior.model.unknowns])
     for name in dict.fromkeys(names.tolist()):
-        at = np.flatnonzero(names == name)
-        part = np.linalg.lstsq(posterior.covariance[np.ix_(at, at)], moved[at])[0]
-        shares[name] = float(moved[at] @ part) / whole if whole else 0.0
+        members = np.flatnonzero(names == name)
+        factors = np.linalg.lstsq(posterior.covariance[np.ix_(members, members)], response[members])[0]
+        shares[name] = float(response[members] @ factors) / variance if variance else 0.0
     return dict(sorted(shares.items(), key=lambda pair: -pair[1]))
 
 
@@ -379,14 +395,14 @@ def common_changes(posterior: SystemPosterior) -> dict[str, float]:
     """
     unknowns, changes = posterior.model.unknowns, dict[str, float]()
     letters = np.array([u.name.removesuffix(" running").rpartition(" ")[2][:1] for u in unknowns])
-    for what, letter in (("stiffness", "k"), ("damping", "c")):
+    for quantity, letter in (("stiffness", "k"), ("damping", "c")):
         alike = posterior.model.in_group("bearings") & (letters == letter)
         if not alike.any() or any(u.name.startswith("all bearings") for u in unknowns):
             continue
         mean = alike / alike.sum()
         declared = 1 / float(np.sum((mean * posterior.errors) ** 2))
-        gained = 1 / float(mean @ posterior.covariance @ mean) - declared
-        changes[what] = 1 / np.sqrt(max(gained, 1e-6 * declared))
+        by_tests = 1 / float(mean @ posterior.covariance @ mean) - declared
+        changes[quantity] = 1 / np.sqrt(max(by_tests, 1e-6 * declared))
     return changes
 
 
@@ -410,14 +426,14 @@ def refit(posterior: SystemPosterior, n_draw: int = REFITS, seed: int = 0) -> Sy
     """
     problem, rng = posterior.problem, np.random.default_rng(seed)
     residual, jacobian = problem.residual(posterior.values), problem.jacobian(posterior.values)
-    least, dof = float(residual @ residual), residual.size - posterior.values.size
-    highest = float(scipy.stats.ncx2.isf(LOST, dof, least))
+    chi2, dof = float(residual @ residual), residual.size - posterior.values.size
+    highest = float(scipy.stats.ncx2.isf(LOST, dof, chi2))
     fits = []
     for _ in range(n_draw):
-        moved = rng.standard_normal(residual.size)
-        start = posterior.values - posterior.covariance @ (jacobian.T @ moved)
-        drawn = replace(problem, moved=moved)
-        end = minimise(drawn, start, NEAR, REFIT_STEPS).values
-        if drawn.chi2(end) < highest:
-            fits.append(end)
+        noise = rng.standard_normal(residual.size)
+        start = posterior.values - posterior.covariance @ (jacobian.T @ noise)
+        drawn = replace(problem, moved=noise)
+        fitted = minimise(drawn, start, NEAR, REFIT_STEPS).values
+        if drawn.chi2(fitted) < highest:
+            fits.append(fitted)
     return replace(posterior, refits=np.array(fits)) if 2 * len(fits) > n_draw else posterior

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.display import amount_text, number, plain_text, probability_text, with_error
-from labpipe.methods.rotor.theory import LEAST_DECREMENT, decision, drawn_decrements
+from labpipe.methods.rotor.theory import DECISIONS, LEAST_DECREMENT, decision, drawn_decrements
 from labpipe.methods.rotor_system.build import APPARENT
 from labpipe.methods.rotor_system.evaluate import run_rotor_system
 from labpipe.methods.rotor_system.records import (
@@ -80,6 +80,8 @@ def outcome(rule: Rule, result: RotorSystemResult, compare_number: CompareNumber
     decisions["decrement"] = decision(result.decrement[2])
     if rule.item in decisions:
         word = decisions[rule.item]
+        if rule.bound not in DECISIONS:
+            raise rule.fault(f"unknown decision '{rule.bound}'", nearest(rule.bound, DECISIONS))
         return rule.outcome(word, word == rule.bound)
     amounts = _amounts(result)
     if rule.item not in amounts:

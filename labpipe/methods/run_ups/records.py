@@ -139,6 +139,7 @@ class RunUp:
 TRAINED, HELD_OUT = "trained", "held-out"
 # Verdict of a method whose family chi-square rejects: its speeds are values without an interval.
 REJECTED = "rejected"
+VERDICTS = (REJECTED, "not rejected", "determined", "not determined", "not fitted")
 # Words of the notes on an extrapolated load.
 OUTSIDE = "outside the loads"
 # Name of the model without a fit: the rotor file's bearing.

@@ -279,6 +279,7 @@ RUN_UPS = PipelineSection(
     run=lambda settings, work: identify_run_ups(settings, work.output, work.pipeline.folder, work.tell),
     record=records.RunUpResult,
     entry="run_ups",
+    verdicts=lambda _: [("run_ups", records.VERDICTS)],
     outcome=run_up_outcome,
     findings=records.findings,
     parameters=listed_speeds_and_parameters,

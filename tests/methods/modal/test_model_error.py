@@ -157,7 +157,7 @@ def test_modes_of_a_loss_factor_are_listed_at_their_natural_frequency() -> None:
         np.array([pole]), one, one, np.eye(2), none, none, np.ones((1, 1)), 0.0, True, 1, hysteretic=True
     )
     terms, port = SimpleNamespace(lower=1, upper=1), [Port("x", "x", "1")]
-    modes = shape_record(refined, terms, port, port, False, None, np.ones(1))
+    modes = shape_record(refined, terms, port, port, False, None, np.ones(1), ())
     assert modes.frequency == pytest.approx([f_n]) and modes.damping_ratio == pytest.approx([eta / 2])
 
 

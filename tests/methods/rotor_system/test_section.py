@@ -34,6 +34,10 @@ from labpipe.methods.rotor_system.virtual_rig import KIND, RotorTestRig, record
 from labpipe.methods.run_ups.records import ProbeError, RunUp
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.project.exports import parameter_table
+from labpipe.project.judging import judge
+from labpipe.project.marked_yaml import parse_marked
+from labpipe.project.rules import read_rules
+from labpipe.project.settings_reader import Faults
 from labpipe.project.work import Work
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.uncertain import ChannelUncertainty, Uncertain, Uncertainty
@@ -367,6 +371,11 @@ def test_a_decrement_that_is_known_is_above_its_limit_or_is_not() -> None:
         posterior = fit_system(built.model, [], estimate_sizes=False)
         found = system_result(damped, built, posterior, np.array([40.0, 41.0]), 20, 1)
         assert found.decrement[1:] == (0.0, probability) and (found.decrement[0] > 0.1) == bool(probability)
+        (rule,) = read_rules(
+            "accept", parse_marked("rotor_system.decrement: brokn", "p.yaml"), Faults(), ("rotor_system",), {}
+        )
+        with pytest.raises(ConfigError, match=r"unknown decision 'brokn'; did you mean 'broken'\?"):
+            judge([rule], (), {"rotor_system": found})
 
 
 def test_a_rotor_file_without_speed_asks_for_no_margin() -> None:

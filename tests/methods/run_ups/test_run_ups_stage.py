@@ -149,7 +149,7 @@ def test_the_record_comes_back_from_its_entry(whole: RunUpResult) -> None:
 def ruled(result: RunUpResult, address: str, text: str) -> tuple[object, bool]:
     faults = Faults()
     node = Marked({address: Marked(text, "here", text=text)}, "here")
-    rules: tuple[Rule, ...] = read_rules("expect", node, faults, ("run_ups",))
+    rules: tuple[Rule, ...] = read_rules("expect", node, faults, ("run_ups",), {})
     faults.raise_any()
     (outcome,) = judge(rules, (), {"run_ups": result})
     return outcome.value, outcome.passed
@@ -173,6 +173,7 @@ def test_a_speed_and_its_interval_are_shown_in_the_unit_of_the_rule(whole: RunUp
         ),
         Faults(),
         ("run_ups",),
+        {},
     )
     speed, interval = (outcome.found for outcome in judge(rules, (), {"run_ups": whole}))
     rpm = 30 / np.pi
