@@ -396,8 +396,8 @@ class ListedParameter:
     """A parameter as lists of results show it: *fit* is whose it is (a fit, "run_ups.joint"), of which
     *test*, *term* and band [Hz].
 
-    changes: of the parameter by one standard uncertainty of every systematic source, by its name; *random*:
-    standard error without them.
+    changes: of the parameter by one standard uncertainty of every systematic source, by its name; dofs:
+    degrees of freedom behind those sources that are not known; *random*: standard error without them.
     """
 
     fit: str
@@ -410,6 +410,7 @@ class ListedParameter:
     warnings: tuple[str, ...] = ()
     random: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def random_error(self) -> float | None:
@@ -445,6 +446,7 @@ def of_fit(fit: Fit) -> Iterator[ListedParameter]:
             warnings=codes,
             random=random_part(fit, parameter),
             changes=changes_of(fit, parameter),
+            dofs=dofs_of(fit),
         )
 
 
@@ -465,6 +467,12 @@ def changes_of(fit: Fit, parameter: Parameter) -> dict[str, float]:
     return {
         source.source: fit.budget.change_by(source.source, parameter.name) for source in fit.budget.sources
     }
+
+
+def dofs_of(fit: Fit) -> dict[str, float]:
+    """Degrees of freedom [1] behind every source of the fit's budget that is not known."""
+    sources = () if fit.budget is None else fit.budget.sources
+    return {source.source: source.dof for source in sources if source.dof}
 
 
 def warning_codes(fit: Fit) -> list[str]:

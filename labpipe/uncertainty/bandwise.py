@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
-from labpipe.distributions import student_quantile, student_tail
+from labpipe.distributions import student_quantile, two_sided
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import Parameter
@@ -111,7 +111,7 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
     above = new**2 - square * (errors[1] ** 2 + second @ second)
     root = np.sqrt(max(middle**2 - below * above, 0.0))
     ends = None if below <= 0 else (float((middle - root) / below), float((middle + root) / below))
-    return 2 * student_tail(abs(new - old) / total, dof), ends
+    return two_sided((new - old) / total, dof), ends
 
 
 def _band(
