@@ -160,7 +160,8 @@ class Unstated:
 @dataclass(frozen=True, repr=False)
 class Fit:
     """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof:
-    equations minus estimated parameters.
+    equations minus estimated parameters; noise_dof: those of the noise, where it alone gives the errors since
+    as many equations as parameters leave no residual.
 
     correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted
     diagonal term, where one fit has several. not_stated: what counts as zero in the intervals. details: what
@@ -191,6 +192,7 @@ class Fit:
     discrepancy: Discrepancy | None = None
     not_stated: tuple[Unstated, ...] = ()
     details: tuple[FitDetail, ...] = field(default=(), metadata={"entry": False})
+    noise_dof: int | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)
@@ -204,6 +206,16 @@ class Fit:
     def to_frame(self) -> Any:
         """The parameters as a pandas data frame, one row each [SI units]."""
         return VIEWS["frame"](self)
+
+    @property
+    def error_dof(self) -> int:
+        """Degrees of freedom behind the standard errors, one at least."""
+        return max(self.noise_dof or self.dof, 1)
+
+    @property
+    def goodness_text(self) -> str:
+        """How well the fit follows the data, in words: "G.o.F 0.9998", or that it must."""
+        return f"G.o.F {self.gof.r2_adjusted:.4f}" if self.noise_dof is None else "exactly determined"
 
     @property
     def as_fitted(self) -> Fit:

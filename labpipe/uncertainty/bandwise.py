@@ -102,7 +102,8 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
     """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
-    parts, dofs = np.append(errors, second - first), np.array([a.dof, b.dof, *source_dofs((a, b))])
+    parts = np.append(errors, second - first)
+    dofs = np.array([a.error_dof, b.error_dof, *source_dofs((a, b))])
     total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, dofs)
     old, new = a.parameter(name).value, b.parameter(name).value
     square = student_quantile(0.975, dof) ** 2
