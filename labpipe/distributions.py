@@ -36,6 +36,12 @@ def student_tail(t: Value, dof: Value) -> float:
     return float(_special().stdtr(dof, -t))
 
 
+def two_sided(t: Value, dof: Value) -> float:
+    """P(|T| > |t|) of Student's distribution, of the normal one where *dof* is infinite."""
+    size = math.fabs(t)
+    return 2 * (student_tail(size, dof) if math.isfinite(dof) else normal_tail(size))
+
+
 def student_quantile(p: Value, dof: Value) -> float:
     """t with P(T <= t) = p."""
     return float(_special().stdtrit(dof, p))

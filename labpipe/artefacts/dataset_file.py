@@ -47,7 +47,7 @@ _TYPES: Mapping[str, pa.DataType] = {
     **dict.fromkeys(_TEXTS, pa.string()),
     **dict.fromkeys(("significant", "accepted"), pa.bool_()),
     "covariance": pa.list_(pa.float64()),
-    "changes": pa.map_(pa.string(), pa.float64()),
+    **dict.fromkeys(("changes", "dofs"), pa.map_(pa.string(), pa.float64())),
 }
 COLUMNS = tuple(
     field.name for field in fields(dataset.DatasetRow) if field.name not in (*_PARTITIONS, "conditions")
@@ -113,7 +113,7 @@ def _table(rows: Sequence[dataset.DatasetRow]) -> pa.Table:
 
 def _cell(row: dataset.DatasetRow, name: str) -> Any:
     cell = getattr(row, name)
-    return list(cell.items()) if name == "changes" else cell
+    return list(cell.items()) if isinstance(cell, Mapping) else cell
 
 
 def amount_of(text: str) -> tuple[float | None, str]:
@@ -144,7 +144,8 @@ def read_part(part: DatasetPart, columns: Collection[str] = COLUMNS) -> pa.Table
         raise DataError(f"is not of schema {SCHEMA}", part.path, "read it with the version that wrote it")
     there = parquet.open_parquet(part.path).schema_arrow.names
     with parquet.check_layout(part.path):
-        if lacking := set(COLUMNS).difference(there):
+        # Parts written before sources had degrees of freedom are without them.
+        if lacking := set(COLUMNS).difference(there, ["dofs"]):
             raise KeyError(min(lacking))
     chosen = [name for name in there if name in columns or name.startswith((CONDITION, AMOUNT))]
     table = parquet.read_columns(part.path, chosen).replace_schema_metadata(None)

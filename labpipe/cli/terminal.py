@@ -67,7 +67,7 @@ def _echo_fit(fit: Fit, say: Say) -> None:
     term = f" of {fit.term}" if fit.term else ""
     band = f" {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz" if fit.band_hz[1] > fit.band_hz[0] else ""
     chi2 = "" if fit.gof.chi2_reduced is None else f", chi2/dof {fit.gof.chi2_reduced:.2f}"
-    say(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, G.o.F {fit.gof.r2_adjusted:.4f}{chi2}")
+    say(f"{fit.name}{term}{test}: {fit.model}, {fit.estimator}{band}, {fit.goodness_text}{chi2}")
     for parameter in fit.parameters:
         if not parameter.name.startswith(IN_REPORT_ONLY):
             say(f"  {_parameter_line(parameter)}")

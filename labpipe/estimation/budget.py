@@ -206,7 +206,7 @@ def with_sources(fit: Fit, sources: Sequence[Source]) -> Fit:
         return fit
     names = tuple(parameter.name for parameter in fit.parameters)
     uncertainties, changes = zip(*counted, strict=True)
-    added = uncertain.Budget(names, before, float(fit.dof), uncertainties, np.array(changes))
+    added = uncertain.Budget(names, before, float(fit.error_dof), uncertainties, np.array(changes))
     budget = added if fit.budget is None else fit.budget.with_sources(added.sources, added.changes)
     widened = with_systematic(fit.parameters, added, budget.dof)
     stated = zip(widened, budget.systematic, strict=True)

@@ -67,6 +67,7 @@ def reported_fit(
         lines=n_line,
         equations=estimate.dof + estimate.values.size - n_prior,
         dof=estimate.dof,
+        noise_dof=None if estimate.dof else int(estimate.student_dof.min()),
         gof=estimate.gof,
         parameters=parameters,
         condition_number=statistics.condition_number(estimate.scaled_design),

@@ -183,7 +183,13 @@ def estimate_findings(
         warnings.append(Finding("no-convergence", f"{what}; its numbers are not a result"))
     warnings.extend(_collinear(estimate, names, units, cure))
     n_equation = estimate.dof + len(names)
-    if estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
+    if not estimate.dof:
+        message = (
+            f"{n_equation} real equations determine {', '.join(names)} exactly: intervals are by the noise "
+            "alone, and nothing is left to test the model by; measure at further frequencies for that"
+        )
+        warnings.append(note("few-lines", message))
+    elif estimate.dof < FEW_DOF or n_equation < EQUATIONS_PER_PARAMETER * len(names):
         message = (
             f"{n_line} lines give {n_equation} equations for {len(names)} parameters; widen the band "
             "or measure with finer spacing"

@@ -33,6 +33,8 @@ from labpipe.estimation.weights import (
 from labpipe.records.identification import Goodness
 
 REWEIGHTINGS = 12
+# Degrees of freedom of a noise that is known.
+KNOWN = 1_000_000
 # Share of the lowest chi-square that a useful pass must fall below, and another minimum to be the better one.
 WORTHWHILE, LOWER = 0.99, 0.999
 
@@ -145,19 +147,20 @@ def maximum_likelihood(
 
     Chi-square and covariance are corrected for the estimated weights (weights.py). Without measured noise all
     lines have equal weight and the residual gives the standard errors. *most_steps* bounds each descent.
-    FitError for fewer equations than parameters, or a covariance without inverse. Equation (est-ml).
+    With as many equations as parameters the noise alone gives the errors, and no chi-square is left.
+    FitError for fewer, or a covariance without inverse. Equation (est-ml).
     """
     if isinstance(model, TransferMode):
         return _fit_transfer_mode(measured, model)
-    dof = measured.dof(len(model.names))
     weighted = has_noise(measured)
+    dof = measured.dof(len(model.names), by_noise=weighted)
     uncertainty = weight_uncertainty(measured, dof) if weighted else WeightUncertainty()
     problem = OutputError.of(measured, model)
 
     def p_value(chi2: float) -> float:
         return uncertainty.p_value(chi2 / dof / uncertainty.excess, dof)
 
-    best, start = _best_minimum(problem, p_value if weighted else None, most_steps)
+    best, start = _best_minimum(problem, p_value if weighted and dof else None, most_steps)
     return _estimate(measured, model, problem, best, start.name)
 
 
@@ -186,7 +189,7 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
     """The same from start values (n_parameter,) [parameter units] at hand, for a model that no linear one is
     near; *name* of the start.
     """
-    measured.dof(len(model.names))
+    measured.dof(len(model.names), by_noise=has_noise(measured))
     problem = OutputError.of(measured, model)
     return _estimate(measured, model, problem, minimise(problem, start, linearise=problem.linearise), name)
 
@@ -194,15 +197,17 @@ def maximum_likelihood_from(measured: Measured, model: FittedModel, start: Float
 def _estimate(
     measured: Measured, model: FittedModel, problem: OutputError[ReceptanceModel], best: Minimum, start: str
 ) -> Estimate:
-    n_parameter, dof = len(model.names), measured.dof(len(model.names))
+    n_parameter, weighted = len(model.names), has_noise(measured)
+    dof = measured.dof(n_parameter, by_noise=weighted)
     linear = problem.linearise(best.values)
     assessed = assess(measured, model, problem, best.values, linear)
     residual = measured.matrix - problem.model.receptance(best.values, measured.omega)
     r2, adjusted = determination(measured.matrix, residual, n_parameter)
-    notes = (f"ml: started from {start}.", *(() if has_noise(measured) else (UNWEIGHTED_NOTE,)))
-    # Where few hits give the noise, and lines share what they tell.
-    few = measured.noise is not None and np.isfinite(measured.noise_dof)
-    interval_dof = np.full(n_parameter, min(dof, int(2 * measured.noise_dof))) if few else None
+    notes = (f"ml: started from {start}.", *(() if weighted else (UNWEIGHTED_NOTE,)))
+    # Where few hits give the noise, and lines share what they tell, or it alone gives the errors.
+    few = (measured.noise is not None and np.isfinite(measured.noise_dof)) or not dof
+    by_noise = int(min(2 * measured.noise_dof, KNOWN))
+    interval_dof = np.full(n_parameter, min(dof or KNOWN, by_noise)) if few else None
     return Estimate(
         values=best.values,
         covariance=assessed.covariance,
@@ -259,6 +264,8 @@ def assess(
     noise = measured.noise or leaking_noise(measured, model, values[: len(model.names)])
     uncertainty = weight_uncertainty(measured, dof)
     covariance = uncertainty.inflation * inverse
+    if not dof:
+        return Assessed(covariance, inverse)
     if noise is not None:
         rows = complex_rows(problem.jacobian(values), measured.omega.size)
         covariance, uncertainty = fitted_uncertainty(measured, noise, uncertainty, rows, inverse)

@@ -100,12 +100,16 @@ class Measured:
         """Number of real equations."""
         return 2 * self.matrix.size
 
-    def dof(self, n_parameter: int) -> int:
-        """Degrees of freedom of a fit; FitError for none."""
-        if self.n_equation <= n_parameter:
+    def dof(self, n_parameter: int, *, by_noise: bool = False) -> int:
+        """Degrees of freedom of a fit, whose errors are *by_noise* that is known, or by its residual.
+        FitError for none, but by noise.
+        """
+        left = self.n_equation - n_parameter
+        if left < 0 or not (left or by_noise):
             what = f"{self.n_equation} real equations cannot determine {n_parameter} parameters"
-            raise FitError(what, hint="widen the band")
-        return self.n_equation - n_parameter
+            cure = "" if left else "; where its noise is known by periods or blocks, ml needs no more"
+            raise FitError(what, hint=f"widen the band{cure}")
+        return left
 
 
 def select_ports(

@@ -34,12 +34,15 @@ def least_squares(measured: Measured, model: DynamicModel, weight: str = "none")
     2009, eq. 14-15, 25, with n - k for the printed n - 3). FitError for fewer equations than parameters.
     Equation (est-ls).
     """
-    equation = regression(measured, model, weight)
     n_parameter = len(model.terms)
+    dof = measured.dof(n_parameter)
+    equation = regression(measured, model, weight)
     values, covariance, parameter_dof = equation_solution(equation, model)
+    if not np.all(parameter_dof):
+        what = "a direction has as many real equations as parameters, which leaves ls no errors"
+        raise FitError(what, hint="widen the band")
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), n_parameter)
     design, amplification = _plain_design(measured, model, values, equation.terms)
-    dof = measured.n_equation - n_parameter
     return statistics.Estimate(
         values=values,
         covariance=measured.shared_noise * covariance,
@@ -114,7 +117,7 @@ class Regression:
 
 def regression(measured: Measured, model: DynamicModel, weight: str) -> Regression:
     """The weighted equation of motion of the measured FRF; FitError for fewer equations than parameters."""
-    measured.dof(len(model.terms))
+    measured.dof(len(model.terms), by_noise=True)
     weights = line_weights(measured, weight)
     by_line = 1.0 if weight == "none" else weights[:, None, None]
     terms = model.equation_terms(measured.matrix, measured.omega)
@@ -230,12 +233,12 @@ def _invert(
 def _solve(terms: ComplexArray, right_side: ComplexArray) -> tuple[FloatArray, FloatArray]:
     columns = statistics.stacked_terms(terms).T
     side = statistics.stack(right_side.reshape(-1))
-    if side.size <= columns.shape[1]:
+    if side.size < columns.shape[1]:
         what = f"{side.size} real equations cannot determine the {columns.shape[1]} parameters of a direction"
         raise FitError(what, hint="widen the band")
     values, inverse = solve_scaled(columns, side)
     residual = side - columns @ values
-    variance = float(residual @ residual) / (side.size - values.size)
+    variance = float(residual @ residual) / max(side.size - values.size, 1)
     return values, variance * inverse
 
 
@@ -278,14 +281,13 @@ def instrumental_variables(
     weak instruments do not converge. Standard errors: (V^T A)^-1 (V^T Omega V) (A^T V)^-1. FitError for
     dependent instruments. Equation (est-iv).
     """
-    equation = regression(measured, model, weight)
+    dof, equation = measured.dof(len(model.terms)), regression(measured, model, weight)
     start = equation_solution(equation, model)[0]
     values, stationary, iterations = _iterate(measured, model, equation, start)
     fitted_terms = model.equation_terms(model.receptance(values, measured.omega), measured.omega)
     instruments = _weighted_columns(fitted_terms, equation)
     correlation = weakest_correlation(instruments, equation.rows)
     converged = stationary and correlation >= WEAKEST_INSTRUMENTS
-    dof = measured.n_equation - len(model.terms)
     r2, adjusted = statistics.determination(equation.right_side, equation.residual(values), len(model.terms))
     design, amplification = equation_design(fitted_terms, model, values)
     return statistics.Estimate(

@@ -237,7 +237,7 @@ def _mean_over(pooled: Fit, places: Sequence[int], repeats: Sequence[Fit], test:
             ends = () if groups or name not in columns else (0, -1)
             aside = [by_name[end][name] for end in ends if not used[end]]
             shared = common.get(name)
-            stated.append(stated_mean(parameter, means[name], of, shared, pooled.dof, summary, aside))
+            stated.append(stated_mean(parameter, means[name], of, shared, pooled.error_dof, summary, aside))
         else:
             stated.append(parameter)
     stated, budget = _with_given(stated, pooled.budget, means)

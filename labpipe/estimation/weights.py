@@ -119,7 +119,8 @@ def weight_uncertainty(measured: Measured, dof: int) -> WeightUncertainty:
     nu <= n + 1. Equations (est-weights), (est-weight-dof).
     """
     nu, n = _weight_dof(measured), _responses_of_one(measured)[0]
-    if not np.isfinite(nu):
+    # Where nothing is left of the residual the weights have no say.
+    if not np.isfinite(nu) or not dof:
         return WeightUncertainty(inflation=measured.shared_noise, shared=measured.shared_power)
     a = nu - n
     if a <= 1:

@@ -47,7 +47,7 @@ CREATE TABLE result (
 CREATE TABLE value (
     id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
     fit TEXT, term TEXT, test TEXT, model TEXT, estimator TEXT, low_hz REAL, high_hz REAL,
-    parameter TEXT, value REAL, unit TEXT, std_error REAL, random_error REAL, changes TEXT,
+    parameter TEXT, value REAL, unit TEXT, std_error REAL, random_error REAL, changes TEXT, dofs TEXT,
     ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
 );
 CREATE TABLE condition (
@@ -204,7 +204,8 @@ def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
     row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
     row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
     row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
-    return {**row, "warnings": ", ".join(listed.warnings), "changes": json.dumps(dict(listed.changes))}
+    row |= {name: json.dumps(dict(getattr(listed, name))) for name in BY_SOURCE}
+    return {**row, "warnings": ", ".join(listed.warnings)}
 
 
 def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
@@ -271,8 +272,8 @@ class ResultRow:
 @dataclass(frozen=True, kw_only=True)
 class ValueRow:
     """One parameter of one fit [SI]; *conditions* of its test, *amounts* of the numeric ones. random_error:
-    without what given numbers add; changes: by each of these, as JSON. digests: of the files behind
-    it. dated: by what, where not by the condition `date`.
+    without what given numbers add; changes: by each of these, and dofs behind those not known, as JSON.
+    digests: of the files behind it. dated: by what, where not by the condition `date`.
     """
 
     path: str
@@ -297,6 +298,7 @@ class ValueRow:
     amounts: dict[str, tuple[float, str]]
     digests: frozenset[str] = frozenset()
     dated: str = ""
+    dofs: str = "{}"
 
     @property
     def label(self) -> str:
@@ -314,7 +316,8 @@ class ValueRow:
         return f"{self.low_hz:g}-{self.high_hz:g} Hz" if self.high_hz > self.low_hz else ""
 
 
-# What a value has beside its columns.
+# Columns that are JSON by source, and what a value has beside its columns.
+BY_SOURCE = ("changes", "dofs")
 NOT_COLUMNS = ("conditions", "amounts", "digests", "dated")
 VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in NOT_COLUMNS)
 

@@ -18,13 +18,14 @@ from typing import Any, TypeVar
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy import special
 
+from labpipe import distributions
 from labpipe.arrays import FloatArray
 from labpipe.artefacts import dataset_file
 from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
+    BY_SOURCE,
     DATE,
     NAMED,
     VALUE_COLUMNS,
@@ -43,9 +44,15 @@ from labpipe.project.catalogue import (
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import list_names, nearest
-from labpipe.uncertainty.amounts import count_once, matrix_of
+from labpipe.uncertainty.amounts import count_once, sources_in_common
 from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.weighted import ControlLimits, WeightedFit, control_limits, straight_trend
+from labpipe.uncertainty.weighted import (
+    ControlLimits,
+    WeightedFit,
+    control_limits,
+    dof_of_sum,
+    straight_trend,
+)
 
 # Columns of the dataset by those of a listed value, where they differ.
 _NAMES = {"std_error": "full_error"}
@@ -86,6 +93,7 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
             band_hz=(row.low_hz, row.high_hz),
             random=row.random_error,
             changes=json.loads(row.changes),
+            dofs=json.loads(row.dofs),
         )
         for row in dataset_values(folder, ".", Filter())
     ]
@@ -132,14 +140,15 @@ def value_row(
     row: dict[str, Any], path: str, amounts: Mapping[str, Mapping[str, tuple[float | None, str]]]
 ) -> ValueRow:
     """A *row* of a dataset at *path*; *amounts*: SI values and units of its conditions by their texts."""
-    entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in ("path", "changes")}
+    given = ("path", *BY_SOURCE)
+    entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in given}
+    entries |= {name: json.dumps(dict(row.get(name) or ())) for name in BY_SOURCE}
     texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
     of_row = {name: amounts[name][text] for name, text in texts.items()}
     entries["date"] = texts.get(DATE, entries["date"])
     return ValueRow(
         **entries,
         path=path,
-        changes=json.dumps(dict(row["changes"])),
         conditions=texts,
         amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
         digests=frozenset(filter(None, [row.get("source")])),
@@ -242,8 +251,9 @@ class Difference:
 def differences(first: Iterable[ListedParameter], second: Iterable[ListedParameter]) -> list[Difference]:
     """The parameters common to two results, in the order of the first one; DataError when there is none.
 
-    z = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in
-    common, two-sided against the normal distribution, Holm's correction over all of them. Parameters are
+    t = (b - a) / sqrt(s_a^2 + s_b^2 + sum (c_b - c_a)^2), c the changes by sources that both may have in
+    common, two-sided, with Welch and Satterthwaite's degrees of freedom of sources that are not known, Holm's
+    correction over all of them. Parameters are
     matched by fit, term, band, test, name and unit; the test's name is ignored where neither result has two.
     """
     mine, others = list(first), list(second)
@@ -304,14 +314,16 @@ def _key(listed: ListedParameter, one_test: bool) -> tuple[str, ...]:
 
 
 def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
-    change = matrix_of([mine.changes, other.changes])
+    changes, dofs = sources_in_common([(of.changes, of.dofs) for of in (mine, other)])
     first, second = mine.random_error, other.random_error
     error = p_value = None
     if first and second:
-        error = float(np.sqrt(first**2 + second**2 + np.sum((change[:, 1] - change[:, 0]) ** 2)))
+        parts = np.array([first, second, *(changes[:, 1] - changes[:, 0])])
+        error = float(np.sqrt(np.sum(parts**2)))
     value, other_value = mine.parameter.value, other.parameter.value
     if error is not None and np.isfinite(error + value + other_value):
-        p_value = 2 * float(special.ndtr(-abs(other_value - value) / error))
+        dof = dof_of_sum(parts, np.array([np.inf, np.inf, *dofs]))
+        p_value = distributions.two_sided((other_value - value) / error, dof)
     return Difference(
         fit=mine.title,
         test=mine.test,
@@ -357,9 +369,9 @@ class ParameterSeries:
     def line(self) -> WeightedFit | None:
         """The weighted line; None where values, errors or differences of the condition are missing."""
         errors = np.array([row.random_error for row in self.rows], np.float64)
-        changes = matrix_of([json.loads(row.changes) for row in self.rows])
+        sources = sources_in_common([(json.loads(row.changes), json.loads(row.dofs)) for row in self.rows])
         try:
-            return straight_trend(self.condition, self.values, errors, changes)
+            return straight_trend(self.condition, self.values, errors, *sources)
         except FitError:
             return None
 

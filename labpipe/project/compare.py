@@ -240,6 +240,7 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
                     warnings=point.warnings,
                     random=value.error_alone,
                     changes=value.changes,
+                    dofs=value.dofs,
                 )
 
 

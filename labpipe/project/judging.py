@@ -69,8 +69,8 @@ def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> d
 FORBIDDING = ("feedback", "weak-injection")
 
 _FIT_VALUES: dict[str, Callable[[Fit], float | None]] = {
-    "gof": lambda fit: fit.gof.r2_adjusted,
-    "r2": lambda fit: fit.gof.r2,
+    "gof": lambda fit: fit.gof.r2_adjusted if fit.noise_dof is None else None,
+    "r2": lambda fit: fit.gof.r2 if fit.noise_dof is None else None,
     "chi2_reduced": lambda fit: fit.gof.chi2_reduced,
     "chi2_p": lambda fit: fit.gof.chi2_p,
     "condition_number": lambda fit: fit.condition_number,

@@ -219,7 +219,8 @@ class Repeated:
 
     scatter: standard deviation of the repeats [unit of the parameter], None for one; p_value: chance of so
     large a scatter by the standard errors of the fits alone; theory: the value of a theory at the conditions,
-    None without one; changes: of the mean by one standard uncertainty of every source that its tests share.
+    None without one; changes: of the mean by one standard uncertainty of every source that its tests share,
+    and dofs behind those sources that are not known.
     """
 
     parameter: Parameter
@@ -229,6 +230,7 @@ class Repeated:
     p_value: float | None = None
     theory: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def error_alone(self) -> float | None:

@@ -20,9 +20,10 @@ class DatasetRow:
     the 95 % interval goes with; *combined* and *expanded* uncertainty where uncertainties were declared.
     covariance (n,) [unit times unit]: by noise with every estimated parameter of the fit in their order, None
     for a derived one; changes: of the parameter by one standard uncertainty of every systematic source, by
-    its name. accepted: whether all rules on this test hold, None without rules. conditions: as people wrote
-    them. source: SHA-256 over the digests of the test's files; digest: of its file of fits. failed: why a
-    test has no result; then there is no fit and no parameter.
+    its name; dofs behind those sources that are not known. accepted: whether all rules on this test hold,
+    None without rules. conditions: as people wrote them. source: SHA-256 over the digests of the test's
+    files; digest: of its file of fits. failed: why a test has no result; then there is no fit and no
+    parameter.
     """
 
     rig: str
@@ -49,6 +50,7 @@ class DatasetRow:
     covariance: FloatArray | None = None
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
     conditions: Mapping[str, str] = field(default_factory=dict)
     warnings: str = ""
     accepted: bool | None = None
@@ -108,7 +110,7 @@ def _entries(fit: identification.Fit, listed: identification.ListedParameter) ->
     of_gof = {"gof": fit.gof.r2_adjusted, "chi2_reduced": fit.gof.chi2_reduced}
     ends = dict(zip(("ci_low", "ci_high"), parameter.ci95 or (None, None), strict=True))
     others = {"fit": fit.name, "parameter": parameter.name, "low_hz": from_hz, "high_hz": to_hz}
-    others |= {"random_error": listed.random_error, "changes": listed.changes}
+    others |= {"random_error": listed.random_error, "changes": listed.changes, "dofs": listed.dofs}
     return {**of_fit, **of_parameter, **of_gof, **ends, **others, "warnings": ", ".join(listed.warnings)}
 
 

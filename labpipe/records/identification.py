@@ -160,7 +160,8 @@ class Unstated:
 @dataclass(frozen=True, repr=False)
 class Fit:
     """One fit of one model in one band. lines: frequency lines used; equations: real equations; dof:
-    equations minus estimated parameters.
+    equations minus estimated parameters; noise_dof: those of the noise, where it alone gives the errors since
+    as many equations as parameters leave no residual.
 
     correlation (n, n) [-]: of the estimated (not derived) parameters, in their order. term: dof of the fitted
     diagonal term, where one fit has several. not_stated: what counts as zero in the intervals. details: what
@@ -191,6 +192,7 @@ class Fit:
     discrepancy: Discrepancy | None = None
     not_stated: tuple[Unstated, ...] = ()
     details: tuple[FitDetail, ...] = field(default=(), metadata={"entry": False})
+    noise_dof: int | None = None
 
     def __repr__(self) -> str:
         return fit_line(self)
@@ -204,6 +206,16 @@ class Fit:
     def to_frame(self) -> Any:
         """The parameters as a pandas data frame, one row each [SI units]."""
         return VIEWS["frame"](self)
+
+    @property
+    def error_dof(self) -> int:
+        """Degrees of freedom behind the standard errors, one at least."""
+        return max(self.noise_dof or self.dof, 1)
+
+    @property
+    def goodness_text(self) -> str:
+        """How well the fit follows the data, in words: "G.o.F 0.9998", or that it must."""
+        return f"G.o.F {self.gof.r2_adjusted:.4f}" if self.noise_dof is None else "exactly determined"
 
     @property
     def as_fitted(self) -> Fit:
@@ -396,8 +408,8 @@ class ListedParameter:
     """A parameter as lists of results show it: *fit* is whose it is (a fit, "run_ups.joint"), of which
     *test*, *term* and band [Hz].
 
-    changes: of the parameter by one standard uncertainty of every systematic source, by its name; *random*:
-    standard error without them.
+    changes: of the parameter by one standard uncertainty of every systematic source, by its name; dofs:
+    degrees of freedom behind those sources that are not known; *random*: standard error without them.
     """
 
     fit: str
@@ -410,6 +422,7 @@ class ListedParameter:
     warnings: tuple[str, ...] = ()
     random: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def random_error(self) -> float | None:
@@ -445,6 +458,7 @@ def of_fit(fit: Fit) -> Iterator[ListedParameter]:
             warnings=codes,
             random=random_part(fit, parameter),
             changes=changes_of(fit, parameter),
+            dofs=dofs_of(fit),
         )
 
 
@@ -465,6 +479,12 @@ def changes_of(fit: Fit, parameter: Parameter) -> dict[str, float]:
     return {
         source.source: fit.budget.change_by(source.source, parameter.name) for source in fit.budget.sources
     }
+
+
+def dofs_of(fit: Fit) -> dict[str, float]:
+    """Degrees of freedom [1] behind every source of the fit's budget that is not known."""
+    sources = () if fit.budget is None else fit.budget.sources
+    return {source.source: source.dof for source in sources if source.dof}
 
 
 def warning_codes(fit: Fit) -> list[str]:

@@ -42,7 +42,7 @@ def fit_line(fit: Fit) -> str:
     codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))
     warnings = f"; warnings: {', '.join(codes)}" if codes else ""
     return (
-        f"<Fit {title}: {fit.model}, {fit.estimator}, {band}, G.o.F {fit.gof.r2_adjusted:.4f}; "
+        f"<Fit {title}: {fit.model}, {fit.estimator}, {band}, {fit.goodness_text}; "
         f"{', '.join([*named, *more])}{warnings}>"
     )
 
@@ -60,7 +60,7 @@ def fit_text(fit: Fit) -> str:
         f"{fit.name or 'fit'}{f' [{fit.test}]' if fit.test else ''}: {fit.model}, estimator {fit.estimator}",
         f"band {fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz, {fit.lines} lines, {fit.equations} equations, "
         f"{fit.dof} degrees of freedom",
-        f"G.o.F {fit.gof.r2_adjusted:.5f}{chi2}, condition number "
+        f"{fit.goodness_text}{chi2}, condition number "
         f"{fit.condition_number:.3g}{'' if fit.converged else ', NOT CONVERGED'}",
         "",
     ]

@@ -99,9 +99,11 @@ def _unchecked_sentence(identification: Identification) -> str:
     """
     unchecked = [] if identification.outcomes else ["no accept or expect rule was given"]
     fits = [fit for fit in identification.fits if not of_points(fit.model)]
-    without = [fit_title(fit) for fit in fits if fit.gof.chi2_reduced is None]
-    if without:
-        unchecked.append(f"chi-square, since the noise is not known ({_listing(without)})")
+    without = [fit for fit in fits if fit.gof.chi2_reduced is None]
+    reasons = {False: "the noise is not known", True: "there are as many equations as parameters"}
+    for exact, reason in reasons.items():
+        if named := [fit_title(fit) for fit in without if (fit.noise_dof is not None) is exact]:
+            unchecked.append(f"chi-square, since {reason} ({_listing(named)})")
     unjudged = _fits_with("not-judged", identification)
     if unjudged:
         unchecked.append(f"whether the residual is noise ({_listing(unjudged)})")

@@ -25,7 +25,7 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
 from labpipe.uncertainty import weighted
-from labpipe.uncertainty.amounts import count_once, joint_errors, matrix_of
+from labpipe.uncertainty.amounts import count_once, sources_in_common
 from labpipe.uncertainty.bandwise import holm
 
 
@@ -44,6 +44,7 @@ class Value:
     when: str
     random_error: float | None = None
     changes: Mapping[str, float] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
     band_hz: tuple[float, float] = (0.0, 0.0)
     digests: frozenset[str] = frozenset()
 
@@ -90,13 +91,13 @@ class CoefficientSeries:
     def _in_unit(self, errors: Sequence[float | None]) -> FloatArray:
         return np.array([np.nan if error is None else difference_in(error, self.unit) for error in errors])
 
-    def parted_errors(self) -> tuple[FloatArray, FloatArray]:
-        """Standard errors (n,) [display unit] of each test alone, and changes (n_source, n) by sources in
-        common.
+    def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Standard errors (n,) [display unit] of each test alone, changes (n_source, n) by sources in common,
+        and degrees of freedom (n_source,) [1] behind these.
         """
         alone = self._in_unit([value.random_error for value in self.values])
-        changes = matrix_of([value.changes for value in self.values])
-        return alone, difference_in(1.0, self.unit) * changes
+        changes, dofs = sources_in_common([(value.changes, value.dofs) for value in self.values])
+        return alone, difference_in(1.0, self.unit) * changes, dofs
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
@@ -160,7 +161,7 @@ def _value(result: str, identification: Identification, listed: ListedParameter)
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
     when = next((text for text in dates if _day(text)), "")
     label = _label(result, listed.test)
-    errors = listed.random_error, listed.changes
+    errors = listed.random_error, listed.changes, listed.dofs
     return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.digests)
 
 
@@ -345,7 +346,7 @@ def _find_apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
 
 def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
     try:
-        return weighted.from_the_rest(coefficient.show(), joint_errors(*coefficient.parted_errors()))
+        return weighted.from_the_rest(coefficient.show(), *coefficient.parted_errors())
     except FitError:
         unknown = np.full(len(coefficient.values), np.nan)
         return unknown, unknown

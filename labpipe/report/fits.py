@@ -140,7 +140,7 @@ def _result(fits: list[Fit]) -> tuple[str, tuple[Block, ...]]:
 
 def single_fit_blocks(fit: Fit) -> tuple[Block, ...]:
     """The section of a fit that stands by itself: parameters, budget, what to know of them, figures."""
-    rows = tuple(wording.parameter_row(parameter, fit.dof) for parameter in fit.parameters)
+    rows = tuple(wording.parameter_row(parameter, fit.error_dof) for parameter in fit.parameters)
     return (
         Paragraph(_description(fit)),
         Table(PARAMETER_HEADER, rows, f"Parameters of {wording.fit_title(fit)}", NUMERIC),
@@ -190,10 +190,13 @@ def _description(fit: Fit) -> str:
     end = f"converged after {fit.iterations} iterations" if fit.iterations else "solved directly"
     if not fit.converged:
         end = "NOT converged"
+    goodness = f"G.o.F (adjusted R²) {fit.gof.r2_adjusted:.5f}."
+    if fit.noise_dof is not None:
+        goodness = "Exactly determined: intervals are by the noise alone, and nothing tests the model."
     return (
         f"Model {fit.model}, estimator {fit.estimator}, band {wording.band_text(fit)}: {fit.lines} {lines}, "
-        f"{fit.equations} real equations, {fit.dof} degrees of freedom, {end}. G.o.F (adjusted R²) "
-        f"{fit.gof.r2_adjusted:.5f}.{chi2} Condition number {fit.condition_number:.3g}."
+        f"{fit.equations} real equations, {fit.dof} degrees of freedom, {end}. {goodness}{chi2} "
+        f"Condition number {fit.condition_number:.3g}."
         f"{wording.interval_text(fit)}"
     )
 
@@ -230,13 +233,13 @@ def _with_error(fit: Fit, name: str, unit: str) -> str:
     if parameter is None:
         return "eliminated"
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)
-    mark = " n.s." if wording.significance(parameter, fit.dof) == "n.s." else ""
+    mark = " n.s." if wording.significance(parameter, fit.error_dof) == "n.s." else ""
     return f"{with_error(to_display(parameter.value, unit), error)}{mark}"
 
 
 def _calibration(fits: list[Fit]) -> tuple[Block, ...]:
     rows = tuple(
-        (fit.test or fit.name, *wording.parameter_row(parameter, fit.dof)[:-1])
+        (fit.test or fit.name, *wording.parameter_row(parameter, fit.error_dof)[:-1])
         for fit in fits
         for parameter in fit.parameters
     )

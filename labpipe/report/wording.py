@@ -89,7 +89,7 @@ def significance(parameter: Parameter, dof: int) -> str:
         return "at bound"
     if parameter.t_ratio is None:
         return ""
-    p_value = 2 * student_tail(abs(parameter.t_ratio), max(dof, 1))
+    p_value = 2 * student_tail(abs(parameter.t_ratio), dof)
     return next((stars for limit, stars in STARS if p_value < limit), "n.s.")
 
 

@@ -138,6 +138,19 @@ def matrix_of(changes: Sequence[Mapping[str, float]]) -> FloatArray:
     return np.array(rows).reshape(len(sources), len(changes))
 
 
+def sources_in_common(
+    values: Sequence[tuple[Mapping[str, float], Mapping[str, float]]],
+) -> tuple[FloatArray, FloatArray]:
+    """Changes (n_source, n) [unit as given] of *values* as of `matrix_of`, and degrees of freedom (n_source,)
+    [1] behind every source. A value is given by its changes, and the degrees of freedom of those sources that
+    are not known.
+    """
+    changes = [of_value for of_value, _ in values]
+    stated = {source: dof for _, dofs in values for source, dof in dofs.items()}
+    sources = dict.fromkeys(source for of_value in changes for source in of_value)
+    return matrix_of(changes), np.array([stated.get(source, math.inf) for source in sources])
+
+
 # Standard errors by which two values of one recording differ at most, computed on different machines.
 ALIKE = 1e-6
 

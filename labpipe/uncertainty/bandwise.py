@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
-from labpipe.distributions import student_quantile, student_tail
+from labpipe.distributions import student_quantile, two_sided
 from labpipe.errors import ConfigError, FitError
 from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import Parameter
@@ -102,7 +102,8 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
     """
     errors = np.array([random_error(fit, fit.parameter(name)) for fit in (a, b)], np.float64)
     first, second = parameter_changes((a, b), name).T
-    parts, dofs = np.append(errors, second - first), np.array([a.dof, b.dof, *source_dofs((a, b))])
+    parts = np.append(errors, second - first)
+    dofs = np.array([a.error_dof, b.error_dof, *source_dofs((a, b))])
     total, dof = float(np.linalg.norm(parts)), dof_of_sum(parts, dofs)
     old, new = a.parameter(name).value, b.parameter(name).value
     square = student_quantile(0.975, dof) ** 2
@@ -111,7 +112,7 @@ def _test(a: Fit, b: Fit, name: str) -> tuple[float, tuple[float, float] | None]
     above = new**2 - square * (errors[1] ** 2 + second @ second)
     root = np.sqrt(max(middle**2 - below * above, 0.0))
     ends = None if below <= 0 else (float((middle - root) / below), float((middle + root) / below))
-    return 2 * student_tail(abs(new - old) / total, dof), ends
+    return two_sided((new - old) / total, dof), ends
 
 
 def _band(

@@ -61,8 +61,7 @@ def power_fit(campaign: Campaign) -> WeightedFit:
     columns = np.column_stack([np.ones_like(logs), *(np.log(x / _centre(x)) for x in conditions)])
     first = weighted_fit(columns, logs, relative)
     errors = np.hypot(relative, np.linalg.norm(first.values[1:]) * campaign.settings.setting_error)
-    fit = weighted_fit(columns, logs, errors, campaign.common / campaign.value)
-    return replace(fit, moved_dof=campaign.common_dof)
+    return weighted_fit(columns, logs, errors, campaign.common / campaign.value, campaign.common_dof)
 
 
 def _conditions(campaign: Campaign) -> list[FloatArray]:
@@ -101,8 +100,7 @@ def _line(campaign: Campaign) -> Comparison:
     fit = weighted_fit(columns, campaign.value, campaign.std_error)
     setting = np.linalg.norm(fit.values[1:, None] * conditions, axis=0)
     errors = np.hypot(campaign.std_error, setting * settings.setting_error)
-    fit = weighted_fit(columns, campaign.value, errors, campaign.common)
-    fit = replace(fit, moved_dof=campaign.common_dof)
+    fit = weighted_fit(columns, campaign.value, errors, campaign.common, campaign.common_dof)
     slope = fit.amount("slope", f"{campaign.unit}/{campaign.condition_unit}", 1)
     level = fit.amount("level", campaign.unit, 0)
     drawn = _draw(campaign.condition)
@@ -174,8 +172,8 @@ def quotient(campaign: Campaign) -> Comparison:
 
 def _mean_of_logs(campaign: Campaign) -> WeightedFit:
     logs, errors, common, dofs = _pair(campaign, *campaign.settings.groups)
-    mean = weighted_mean(logs, errors, common)
-    return replace(mean, behind=dof_of_sum(1 / errors, dofs), moved_dof=campaign.common_dof)
+    mean = weighted_mean(logs, errors, common, campaign.common_dof)
+    return replace(mean, behind=dof_of_sum(1 / errors, dofs))
 
 
 def _of_groups(campaign: Campaign, amount: Parameter, mean: WeightedFit, words: str) -> Comparison:

@@ -18,7 +18,7 @@ from labpipe.errors import ConfigError, FitError, SettingError
 from labpipe.quantities import QUANTITIES
 from labpipe.records import comparison
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
-from labpipe.records.identification import Fit, changes_of
+from labpipe.records.identification import Fit, changes_of, dofs_of
 from labpipe.registry import nearest
 from labpipe.uncertainty.amounts import chance, change_in, random_error
 from labpipe.uncertainty.bandwise import holm
@@ -419,7 +419,8 @@ def _with_changes(name: str, pairs: Sequence[tuple[Fit, Parameter]]) -> comparis
     each = [changes_of(fit, parameter) for fit, parameter in pairs]
     sources = dict.fromkeys(source for changes in each for source in changes)
     shared = {of: sum(changes.get(of, 0.0) for changes in each) / len(each) for of in sources}
-    return replace(mean, changes=shared)
+    dofs = {source: dof for fit, _ in pairs for source, dof in dofs_of(fit).items()}
+    return replace(mean, changes=shared, dofs=dofs)
 
 
 def _beside_theory(

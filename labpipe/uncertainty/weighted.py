@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -96,21 +97,22 @@ class WeightedFit:
 
     def p_of(self, number: int, value: float = 0.0) -> float:
         """Two-sided p-value of the hypothesis that the parameter equals *value*."""
-        ratio = abs(self.values[number] - value) / self.std_error(number)
-        dof = self.dof_of(np.eye(self.values.size)[number])
-        return 2 * (
-            distributions.student_tail(ratio, dof) if np.isfinite(dof) else distributions.normal_tail(ratio)
-        )
+        ratio = (self.values[number] - value) / self.std_error(number)
+        return distributions.two_sided(ratio, self.dof_of(np.eye(self.values.size)[number]))
 
 
 def weighted_fit(
-    columns: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None = None
+    columns: FloatArray,
+    values: FloatArray,
+    errors: FloatArray,
+    changes: FloatArray | None = None,
+    dofs: FloatArray | float = np.inf,
 ) -> WeightedFit:
     """Generalised least squares of values (n,) [any unit] = columns (n, n_parameter) p.
 
     *errors*: standard errors (n,), or the covariance (n, n) of correlated values; *changes* (n_source, n) of
-    the values by sources that they have in common. FitError where p is not determined. Equation
-    (comp-weighted).
+    the values by sources that they have in common, with *dofs* (n_source,) [1] behind these. FitError where p
+    is not determined. Equation (comp-weighted).
     """
     if values.size < columns.shape[1]:
         raise FitError(f"{values.size} tests cannot determine {columns.shape[1]} parameters")
@@ -140,7 +142,8 @@ def weighted_fit(
 
         share = scipy.optimize.brentq(lambda share: solve_with(share)[1] - dof, 0.0, 1.0)
         spread, (inverse, _, weights) = share * largest, solve_with(share)
-    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, weights @ changes.T, known)
+    moved = weights @ changes.T
+    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, moved, known, moved_dof=dofs)
 
 
 def _solve(
@@ -169,9 +172,9 @@ def dof_of_sum(errors: FloatArray, dofs: FloatArray) -> float:
     return float(np.sum(errors**2)) ** 2 / fourth_powers if fourth_powers else np.inf
 
 
-def weighted_mean(values: FloatArray, errors: FloatArray, changes: FloatArray | None = None) -> WeightedFit:
-    """The weighted mean of values (n,) [any unit], with errors as of `weighted_fit`."""
-    return weighted_fit(np.ones((values.size, 1)), values, errors, changes)
+def weighted_mean(values: FloatArray, errors: FloatArray, *sources: Any) -> WeightedFit:
+    """The weighted mean of values (n,) [any unit], with errors and *sources* as of `weighted_fit`."""
+    return weighted_fit(np.ones((values.size, 1)), values, errors, *sources)
 
 
 # Repeatability: scatter within and between settings (one-way random effects).
@@ -247,13 +250,16 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
 def _mean(campaign: Campaign, scatter: Components) -> Parameter:
     """The mean of the settings [unit of the values]: their scatter s, and errors that no repetition shows.
 
-    u^2 = s^2 + sum over sources of (mean of their changes)^2, the former with a - 1 degrees of freedom (JCGM
-    100:2008, G.4.1).
+    u^2 = s^2 + sum over sources of (mean of their changes)^2, the former with a - 1 degrees of freedom. The
+    quantile is the mean of each part's own, by its share of u^2 (Cochran and Cox, Experimental Designs, 1957,
+    sec. 4.14), since that of Welch and Satterthwaite is too small beside a scatter of two settings.
     """
     parts = np.array([scatter.mean_error, *campaign.common @ scatter.weights])
-    dof = dof_of_sum(parts, np.array([scatter.settings - 1, *campaign.common_dof]))
-    quantile = distributions.coverage_factor(1 - 2 * TAIL, dof)
-    return with_error("mean", campaign.unit, scatter.mean, float(np.linalg.norm(parts)), quantile)
+    dofs = [scatter.settings - 1, *campaign.common_dof]
+    quantiles = np.array([distributions.coverage_factor(1 - 2 * TAIL, dof) for dof in dofs])
+    error = float(np.linalg.norm(parts))
+    quantile = float(quantiles @ parts**2) / (error**2 or 1.0)
+    return with_error("mean", campaign.unit, scatter.mean, error, quantile)
 
 
 def repeatability(campaign: Campaign) -> Comparison:
@@ -340,15 +346,19 @@ def control_limits(values: FloatArray) -> ControlLimits:
 
 
 def straight_trend(
-    condition: FloatArray, values: FloatArray, errors: FloatArray, changes: FloatArray | None = None
+    condition: FloatArray,
+    values: FloatArray,
+    errors: FloatArray,
+    changes: FloatArray | None = None,
+    dofs: FloatArray | float = np.inf,
 ) -> WeightedFit:
-    """value = level + slope (x - mean x) of values (n,) [any unit], errors as of `weighted_fit`. FitError for
-    fewer than three. Equation (comp-straight).
+    """value = level + slope (x - mean x) of values (n,) [any unit], errors and sources as of `weighted_fit`.
+    FitError for fewer than three. Equation (comp-straight).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
-    fit = weighted_fit(columns, values, errors, changes)
+    fit = weighted_fit(columns, values, errors, changes, dofs)
     return replace(fit, curved=curvature_text(condition, values, errors, changes, fit.values[0]))
 
 
@@ -395,16 +405,24 @@ def curvature_text(
     return f"curved, in the middle {deviation:.2g} % {side} the chord {because} straight line does not hold"
 
 
-def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+def from_the_rest(
+    values: FloatArray,
+    errors: FloatArray,
+    changes: FloatArray | None = None,
+    dofs: FloatArray | float = np.inf,
+) -> tuple[FloatArray, FloatArray]:
     """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values.
 
     Where the others scatter more than their errors, all have that spread, and the p-values are Student's.
-    Two values give one test. *errors* (n,), or the covariance (n, n) of values with errors in common, which
-    cancel as far as they are alike. FitError for fewer than two. Equation (comp-outlier).
+    Two values give one test. *errors* (n,), or the covariance (n, n) of values with errors in common, or
+    sources of these as of `weighted_fit`, which cancel as far as they are alike. FitError for fewer than two.
+    Equation (comp-outlier).
     """
     if values.size < 2:
         raise FitError(f"{values.size} value(s) cannot be compared", hint="at least two are needed")
-    joint = np.diag(errors**2) if errors.ndim == 1 else errors
+    changes = np.zeros((0, values.size)) if changes is None else changes
+    joint = joint_errors(errors, changes)
+    joint = np.diag(joint**2) if joint.ndim == 1 else joint
     differences, chances = np.empty(values.size), np.empty(values.size)
     for n in range(values.size):
         others = np.arange(values.size) != n
@@ -413,8 +431,11 @@ def from_the_rest(values: FloatArray, errors: FloatArray) -> tuple[FloatArray, F
         covariance = covariance + others_mean.spread * np.eye(values.size - 1)
         # The weights of the values in their generalised least-squares mean.
         weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-        with_mean = float(weights @ joint[others, n] / weights.sum())
+        weights /= weights.sum()
+        with_mean = float(weights @ joint[others, n])
         variance = joint[n, n] - 2 * with_mean + others_mean.spread + others_mean.covariance
         difference = replace(others_mean, values=values[[n]] - others_mean.values, covariance=variance)
+        by_sources = (changes[:, n] - changes[:, others] @ weights)[None]
+        difference = replace(difference, moved=by_sources, moved_dof=dofs)
         differences[n], chances[n] = difference.values[0], difference.p_of(0)
     return differences, chances

@@ -14,6 +14,7 @@ from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.fitting import identify, sliding_bands
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.settings import ESTIMATORS, MODELS, FitSettings, Sliding, Support, model_kind
+from labpipe.records.finding import NOTE
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.uncertain import Uncertain
 
@@ -254,11 +255,46 @@ def test_ports_answer_to_label_channel_or_dof_and_a_miss_names_the_nearest(coupl
         identify(response, FitSettings("sdof", mass=0.92))
 
 
+@pytest.mark.parametrize("averages", [3, 20, np.inf])
+def test_one_line_determines_k_and_c_with_errors_by_its_noise(sdof_response, rng, averages: float) -> None:
+    """k - m w^2 + j c w = 1 / H: errors |Z|^2 s / sqrt(2), of c over w, and Student's t with two degrees of
+    freedom for each complex one of the noise.
+    """
+    response = sdof_response(2e-8, rng)
+    if np.isfinite(averages):
+        response = replace(response, covariance_dof=averages - 1)
+    (fit,) = identify(response, replace(SDOF, band=(64.9, 65.1), estimator="ml"))
+    omega = 2 * np.pi * 65.0
+    z = 1 / response.matrix[10, 0, 0]
+    error = abs(z) ** 2 * np.sqrt(response.covariance[10, 0, 0].real / 2)
+    quantile = stats.t.ppf(0.975, 2 * (averages - 1)) if np.isfinite(averages) else stats.norm.ppf(0.975)
+    expected = {"k": (z.real + 0.79 * omega**2, error), "c": (z.imag / omega, error / omega)}
+    for name, (value, of_noise) in expected.items():
+        parameter = fit.parameter(name)
+        assert (parameter.value, parameter.std_error) == pytest.approx((value, of_noise), rel=1e-6)
+        assert parameter.ci95[1] - parameter.value == pytest.approx(quantile * of_noise, rel=1e-5)
+    assert (fit.dof, fit.gof.chi2_reduced, fit.gof.chi2_p) == (0, None, None)
+    assert "exactly determined" in str(fit) and "G.o.F" not in str(fit)
+    (finding,) = (finding for finding in fit.findings if finding.code == "few-lines")
+    assert finding.level == NOTE and "nothing is left to test the model by" in finding.message
+
+
+def test_one_line_of_two_directions_determines_eight_coefficients(coupled_response) -> None:
+    response = coupled_response(1e-9)
+    settings = FitSettings("rotor-2dof", mass=0.92, band=(79.9, 80.1), estimator="ml")
+    (fit,) = identify(response, settings)
+    found = [fit.parameter(f"k_{place}").value for place in ("xx", "xy", "yx", "yy")]
+    assert found == pytest.approx([180e3, 25e3, -18e3, 210e3], rel=1e-6)
+    assert fit.dof == 0 and all(parameter.std_error > 0 for parameter in fit.parameters[:8])
+
+
 def test_what_a_fit_cannot_do_is_said(sdof_response, symmetric_response, coupled_response) -> None:
     with pytest.raises(FitError, match="no frequency line lies in the band"):
         identify(sdof_response(), replace(SDOF, band=(1.0, 2.0)))
     with pytest.raises(FitError, match="2 real equations cannot determine 2 parameters"):
         identify(sdof_response(), replace(SDOF, band=(65.0, 65.2)))
+    with pytest.raises(FitError, match="2 real equations cannot determine 2 parameters"):
+        identify(sdof_response(1e-8), replace(SDOF, band=(65.0, 65.2), estimator="ls"))
     with pytest.raises(ConfigError, match="needs the known mass"):
         identify(coupled_response(), FitSettings("rotor-2dof"))
     unknown = replace(

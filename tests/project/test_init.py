@@ -208,11 +208,14 @@ def test_a_folder_of_recordings_is_a_campaign(tmp_path: Path, labpipe, kind: str
         k = fit.parameter("k")
         assert abs(k.value - stiffness[fit.test]) < 4 * k.std_error < 0.01 * k.value
     (last,) = (response for response in result.responses if response.name == names[-1])
-    assert dict(last.conditions) == {
-        "numbered": {"run": "05"},
-        "speeds": {"speed": "1000rpm"},
-        "table": {"speed": "1000 rpm", "load": "0.3 kN"},
-    }[kind]
+    assert (
+        dict(last.conditions)
+        == {
+            "numbered": {"run": "05"},
+            "speeds": {"speed": "1000rpm"},
+            "table": {"speed": "1000 rpm", "load": "0.3 kN"},
+        }[kind]
+    )
 
 
 def test_a_folder_without_a_recording_is_refused(tmp_path: Path, labpipe) -> None:

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labpipe.project.catalogue_search import differences
+from labpipe.artefacts.dataset_file import write_parts
+from labpipe.artefacts.writing import output_folder
+from labpipe.project.catalogue_search import dataset_parameters, differences
 from labpipe.project.compare import listed_points
-from labpipe.records.identification import Fit
+from labpipe.records.dataset import TestResult, rows_of_fit
+from labpipe.records.identification import Fit, of_fit
 from labpipe.records.uncertain import Budget, Uncertainty
-from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error
+from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error, source_dofs
 from labpipe.uncertainty.compare import difference, trend
 from labpipe.uncertainty.matrix import condition_matrix
 from labpipe.uncertainty.observations import campaign_of
@@ -114,7 +117,7 @@ def test_a_sensor_known_by_few_degrees_of_freedom_widens_by_student_s_factor() -
 def test_the_mean_of_repeats_keeps_the_error_that_no_repetition_shows() -> None:
     """Settings a and b of two tests each: MSB / 4 = ((a - b) / 2)^2, 2 % of 1e6 by one sensor.
 
-    Dof (u / u_A)^4 (JCGM 100, G.4.1).
+    Quantile: of each part its own, by its share of u^2 (Cochran and Cox 1957).
     """
     values = [995e3, 995e3 + 1e3, 1005e3 - 1e3, 1005e3]
     fits, conditions = gained(values)
@@ -123,8 +126,64 @@ def test_the_mean_of_repeats_keeps_the_error_that_no_repetition_shows() -> None:
     scatter = abs(np.mean(values[:2]) - np.mean(values[2:])) / 2
     error = np.hypot(scatter, 0.02 * 1e6)
     assert found.std_error == pytest.approx(error, rel=1e-9)
-    reach = stats.t.ppf(0.975, (error / scatter) ** 4) * error
+    reach = (stats.t.ppf(0.975, 1) * scatter**2 + stats.norm.ppf(0.975) * (0.02 * 1e6) ** 2) / error
     assert found.ci95 == pytest.approx((1e6 - reach, 1e6 + reach), rel=1e-9)
+
+
+@pytest.mark.parametrize("settings_share", [0.5, 0.9, 0.97])
+def test_two_settings_beside_a_known_sensor_hold_at_the_stated_rate(rng, settings_share: float) -> None:
+    """The sensor has the other share of the variance: 2,000 means, of which 94 to 97 % hold by the integral
+    over the chi-square of one scatter (Welch and Satterthwaite's 93, 87 and 88 %).
+    """
+    gain, held = 1e-3, 0
+    between = gain * 1e6 * np.sqrt(2 * settings_share / (1 - settings_share))
+    settings = CompareSettings(kind="repeatability", fit="axial", group="way", name="r")
+    for _ in range(2000):
+        means = np.repeat(rng.normal(1e6, between, 2), 2) * (1 + gain * rng.standard_normal())
+        fits, conditions = gained(means + rng.normal(0, 1e-3 * between, 4), gain=gain, error=1e-3 * between)
+        low, high = repeatability(campaign_of(settings, fits, conditions)).amount("mean").ci95
+        held += low <= 1e6 <= high
+    squares = settings_share * stats.chi2.ppf((np.arange(4000) + 0.5) / 4000, 1)
+    error = np.sqrt(squares + 1 - settings_share)
+    reach = (stats.t.ppf(0.975, 1) * squares + stats.norm.ppf(0.975) * (1 - settings_share)) / error
+    expected = np.mean(2 * stats.norm.cdf(reach) - 1)
+    assert 0.93 < expected < 0.98
+    assert held / 2000 == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / 2000))
+
+
+def by_two_gains(difference: float, *errors: float) -> float:
+    """Two-sided p-value of a difference by two errors with 3 degrees of freedom each."""
+    squares = np.square(errors)
+    return 2 * stats.t.sf(difference / np.sqrt(squares.sum()), 3 * squares.sum() ** 2 / np.sum(squares**2))
+
+
+def test_p_values_know_the_degrees_of_freedom_of_sensors() -> None:
+    """Gains of 2 % with 3 degrees of freedom are all but a thousandth of each uncertainty: by sensors of
+    their own two results differ with t of 6, but for their sizes (Welch and Satterthwaite), as does a
+    value from the mean of two, which share one; a slope by one sensor has t of 3.
+    """
+    (first, second), _ = gained([1e6, 1.06e6], "ab".__getitem__, error=1.0, dof=3.0)
+    pair = differences(of_fit(first), of_fit(dataclasses.replace(second, test=first.test)))[0]
+    assert pair.p_value == pytest.approx(by_two_gains(0.06, 0.02, 0.0212), rel=1e-4)
+    fits, _ = gained([1e6, 1e6, 1.08e6], "aab".__getitem__, error=1.0, dof=3.0)
+    k = np.array([fit.parameter("k").value for fit in fits])
+    sources = parameter_changes(fits, "k"), source_dofs(fits)
+    _, chances = from_the_rest(k, np.ones(3), *sources)
+    assert chances[2] == pytest.approx(by_two_gains(0.08, 0.02, 0.0216), rel=1e-4)
+    shared, _ = gained([1e6, 2e6, 3e6], error=1e2, dof=3.0)
+    sources = parameter_changes(shared, "k"), source_dofs(shared)
+    line = straight_trend(np.arange(1.0, 4.0), np.array([1e6, 2e6, 3e6]), np.full(3, 1e2), *sources)
+    assert line.p_of(1, 0.9e6) == pytest.approx(2 * stats.t.sf(0.1 / 0.02, 3), rel=1e-3)
+
+
+def test_points_of_matrices_and_files_of_many_tests_keep_the_degrees_of_freedom(tmp_path) -> None:
+    fits, conditions = gained([1e6, 2e6, 1e6, 2e6], dof=3.0)
+    matrix = condition_matrix(MatrixSettings(fit="axial", over=("load",), name="m"), fits, conditions)
+    assert [listed.dofs for listed in listed_points([matrix])] == 2 * [{"force sensor": 3.0}]
+    common = {"rig": "r", "date": "2026-11-30", "test": "t0"}
+    with output_folder(tmp_path / "out") as output:
+        write_parts([TestResult(rows=tuple(rows_of_fit(fits[0], common)))], output)
+    assert [listed.dofs for listed in dataset_parameters(tmp_path / "out")] == [{"force sensor": 3.0}]
 
 
 def test_random_error_is_that_of_the_test_alone() -> None:

@@ -25,7 +25,7 @@ from labpipe.methods.rolling_bearing.loads import DOFS, RigidShaft, transfer_mat
 from labpipe.project.bearing_file import open_bearing
 from labpipe.records.comparison import ComparedPoint, Comparison, Overlay
 from labpipe.records.finding import NORMAL, Parameter
-from labpipe.records.identification import Fit
+from labpipe.records.identification import Fit, dofs_of
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.bands import lines_in
@@ -35,8 +35,9 @@ from labpipe.uncertainty.amounts import (
     change_in,
     common_changes,
     from_log,
-    matrix_of,
     random_error,
+    source_dofs,
+    sources_in_common,
     with_error,
 )
 from labpipe.uncertainty.compare import OF_TESTS, Evidence
@@ -62,7 +63,7 @@ Loaded = tuple[FloatArray, RigidShaft]
 class TheoryAt:
     """The theory at one condition: K (5, 5) [N/m, N/rad, N m/rad], K at a condition larger by the share
     *step*, and the shaft. ends: by source, K and shaft with an uncertain number of the bearing file one
-    standard uncertainty above and below its value.
+    standard uncertainty above and below its value; dofs behind those sources that are not known.
     """
 
     stiffness: FloatArray
@@ -70,6 +71,7 @@ class TheoryAt:
     step: float
     shaft: RigidShaft
     ends: tuple[tuple[str, Loaded, Loaded], ...] = ()
+    dofs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Matched:
     with covariance (2, 2).
 
     *to_sources*: change (2,) [1] of both by one standard uncertainty of each source of the fit's budget and
-    of the bearing file.
+    of the bearing file; *dofs* behind those sources that are not known.
     *to_bending*, *to_condition* (2,) [1]: change of both per relative change of the shaft's stiffness and of
     the condition. *theory*: (k, c) of the fit of the theory's curve, with the measured damping.
     """
@@ -99,6 +101,7 @@ class Matched:
     to_condition: FloatArray
     theory: FloatArray
     to_sources: Mapping[str, FloatArray] = field(default_factory=dict)
+    dofs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,9 @@ def match(
     for source, *ends in theory.ends:
         high, low = (fit_ratio(log, stiffness, shaft=shaft) for stiffness, shaft in ends)
         to_sources[source] = to_sources.get(source, 0.0) - inverse @ (high - low) / 2
-    return Matched(log, covariance, -inverse @ to_bending, -inverse @ to_condition, theoretical, to_sources)
+    by = {"to_bending": -inverse @ to_bending, "to_condition": -inverse @ to_condition}
+    dofs = {**theory.dofs, **dofs_of(fit)}
+    return Matched(log, covariance, **by, theory=theoretical, to_sources=to_sources, dofs=dofs)
 
 
 def solve_ratio(
@@ -303,8 +308,8 @@ def stiffness_ratio(
     *bending_error*: relative standard error of the shaft's stiffness. Equation (comp-ratio).
     """
     logs = np.array([test.log[0] for test in matched])
-    errors, changes = joint_errors_of(matched, 0, campaign.settings.setting_error, bending_error)
-    mean = weighted_mean(logs, errors, changes)
+    errors, *sources = joint_errors_of(matched, 0, campaign.settings.setting_error, bending_error)
+    mean = weighted_mean(logs, errors, *sources)
     ratio = from_log("ratio", "1", *mean.state())
     beta = float(np.exp(np.mean([test.log[1] for test in matched])))
     assert ratio.ci95 is not None
@@ -316,15 +321,16 @@ def stiffness_ratio(
     )
     amounts = (ratio, chance("scatter_p", mean.p_value), Parameter("beta", beta, "s", derived=True))
     verdict = "stiffer than theory" if low > 1 else "softer than theory" if high < 1 else "as theory"
-    points = _points(campaign, matched, _single(errors, changes))
+    points = _points(campaign, matched, _single(errors, sources[0]))
     comparison = campaign.comparison(amounts, verdict, result + _factor_text(mean))
     return replace(comparison, points=points, overlays=overlays)
 
 
 def joint_errors_of(
     matched: Sequence[Matched], number: int, setting_error: float, bending_error: float
-) -> tuple[FloatArray, FloatArray]:
-    """Standard errors (n,) and changes (n_source, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1).
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Standard errors (n,) and changes (n_source, n) [1] of the tests' ln ratio (*number* 0) or ln beta (1),
+    and degrees of freedom (n_source,) [1] behind the sources.
 
     Noise and the setting of the condition are independent between tests; the errors of the shaft's stiffness,
     of sensors and of the bearing file's numbers are common. Equation (comp-joint).
@@ -332,10 +338,9 @@ def joint_errors_of(
     fits = np.array([test.covariance[number, number] for test in matched])
     setting = np.array([test.to_condition[number] for test in matched]) * setting_error
     shared = np.array([test.to_bending[number] for test in matched]) * bending_error
-    common = matrix_of(
-        [{source: float(change[number]) for source, change in test.to_sources.items()} for test in matched]
-    )
-    return np.sqrt(fits + setting**2), np.vstack([shared, common])
+    each = [{source: float(change[number]) for source, change in test.to_sources.items()} for test in matched]
+    common, dofs = sources_in_common([(of, test.dofs) for of, test in zip(each, matched, strict=True)])
+    return np.sqrt(fits + setting**2), np.vstack([shared, common]), np.append(np.inf, dofs)
 
 
 def _single(errors: FloatArray, changes: FloatArray) -> FloatArray:
@@ -366,14 +371,14 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     c / k. Equation (comp-rayleigh).
     """
     if matched is None:
-        logs, errors, changes = _log_betas([observation.fit for observation in campaign.observations])
+        logs, errors, *sources = _log_betas([observation.fit for observation in campaign.observations])
     else:
         logs = np.array([test.log[1] for test in matched])
-        errors, changes = joint_errors_of(matched, 1, campaign.settings.setting_error, bending_error)
-    mean = weighted_mean(logs, errors, changes)
+        errors, *sources = joint_errors_of(matched, 1, campaign.settings.setting_error, bending_error)
+    mean = weighted_mean(logs, errors, *sources)
     stiffness = np.array([_logarithms(observation.fit)[0] for observation in campaign.observations])
     columns = np.column_stack([np.ones_like(stiffness), stiffness - np.mean(stiffness)])
-    slope, *ends = weighted_fit(columns, logs, errors, changes).state(1)
+    slope, *ends = weighted_fit(columns, logs, errors, *sources).state(1)
     exponent = with_error("exponent", "1", 1 + slope, *ends)
     if mean.p_value is None:
         raise FitError("one test cannot show whether damping is proportional to stiffness")
@@ -383,7 +388,7 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
         f"c / k{campaign.subject[1:]}: beta = {1e6 * beta.value:.4g} us, c goes as k^{exponent.value:.3f}"
     )
     points = []
-    for point, log, error in zip(campaign.points(), logs, _single(errors, changes), strict=True):
+    for point, log, error in zip(campaign.points(), logs, _single(errors, sources[0]), strict=True):
         ratio = from_log("ratio", "1", float(log - np.log(beta.value)), float(error), NORMAL)
         theory = point.value / ratio.value
         points.append(replace(point, theory=theory, ratio=ratio.value, ratio_ci95=ratio.ci95))
@@ -392,11 +397,11 @@ def rayleigh(campaign: Campaign, matched: Sequence[Matched] | None, bending_erro
     return replace(campaign.comparison(amounts, verdict, statement), points=tuple(points))
 
 
-def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _log_betas(fits: Sequence[Fit]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     logs = np.array([_logarithms(fit) @ BETA for fit in fits])
     variances = np.array([BETA @ log_covariance(fit) @ BETA for fit in fits])
     common = common_changes(fits, lambda fit, source: float(_log_change(fit, source) @ BETA))
-    return logs, np.sqrt(variances), common
+    return logs, np.sqrt(variances), common, source_dofs(fits)
 
 
 # The condition is raised by this share for the slope of the theory.
@@ -428,7 +433,8 @@ def theory_of(folder: Path, settings: TheorySettings) -> Theory:
         loaded = [(k.stiffness, end.shaft.body) for k, end in zip(others, moved, strict=True)]
         sources = [number.source or key for key, number in uncertain.items()]
         ends = tuple(zip(sources, loaded[::2], loaded[1::2], strict=True))
-        return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body, ends)
+        dofs = {of: x.dof for of, x in zip(sources, uncertain.values(), strict=True) if x.dof}
+        return TheoryAt(here.stiffness, near.stiffness, CONDITION_STEP, shaft.body, ends, dofs)
 
     return at
 
