@@ -228,10 +228,8 @@ class _Sides:
 
 
 def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
-    """The modes of the settings' band as one Fit.
-
-    ConfigError where settings and response do not fit together, FitError where no mode is found or the lines
-    are too few.
+    """The modes of the settings' band as one Fit. ConfigError where settings and response do not fit
+    together, FitError where no mode is found or the lines are too few.
     """
     if not settings.mass or not isinstance(settings.mass, float | str):
         raise SettingError("mass", "a modal fit takes one mass, above zero", "for example mass: 0.92 kg")
@@ -259,8 +257,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     diagram, start = _first_modes(sides.lines, modal)
     refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
     refined, terms, dropped = lscf.kept_modes(refined, terms)
-    # Lines that the band leaves out in its middle are no neighbours, which the correlation of a window would
-    # need.
+    # Lines beside a gap in the band are no neighbours, which the correlation of a window would need.
     correlation = response.line_correlation
     whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
     sides = replace(sides, lines=whole.terms.lines)
@@ -560,9 +557,8 @@ def _polynomial_findings(measured: Measured, refined: Refined) -> list[Finding]:
     if measured.blocks is None or not measured.blocks.degree:
         return []
     pole, more = refined.poles[np.argmax(refined.poles.real)], ". A second mode may seem to stand beside it"
-    found = diagnostics.short_block_findings(
-        measured, float(abs(pole)) / (2 * np.pi), float(-pole.real) / np.pi, True
-    )
+    frequency, width = (np.array([abs(pole), -2 * pole.real]) / (2 * np.pi)).tolist()
+    found = diagnostics.short_block_findings(measured, frequency, width, True)
     return [replace(finding, message=finding.message + more) for finding in found]
 
 
@@ -583,8 +579,7 @@ def _with_window(fit: Fit, refined: Refined, lines: FrfLines) -> Fit:
     narrow = {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
     if not narrow:
         return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+    places = ", ".join(f"{fit.parameter(f'f_n_{n}').value:.6g} Hz ({w:.2g})" for n, w in narrow.items())
     message = (
         f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
         "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "
