@@ -58,8 +58,8 @@ class FirstLook:
         return replace(self, channels=tuple(apart))
 
     def with_one_quantity(self) -> FirstLook:
-        """The same with responses of one quantity alone, the most frequent, since a matrix of FRFs holds no
-        others: those are references. A stator that floats has both displacements and accelerations in two
+        """The same with responses of one quantity alone, the most frequent: others, which may be of the same
+        points, are references. A stator that floats has both displacements and accelerations in two
         directions.
         """
         outputs = Counter(channel.quantity for channel in self.channels if channel.role == "output")

@@ -269,8 +269,8 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
 
 # Responses that look like a mode, from which on all of them are one modal test.
 MODAL_TEST = 3
-BESIDE = """# Not among the FRFs: {}. One matrix holds one quantity; for theirs swap `role: output` and
-# `role: reference` in rig.yaml. `result: spectra` holds all.
+BESIDE = """# Not among the FRFs: {}, in case they are of the same points. Where they are not, `role: output`
+# in rig.yaml takes them in. `result: spectra` holds all quantities of all points.
 """
 DECAYING = ["frf:", "  excitation: decay            # a guess: there is no force, and the responses die away"]
 RUNNING = """# No force, and a tacho: the shaft runs, and its unbalance is the force. From this folder
