@@ -106,7 +106,8 @@ def tapped(rng: np.random.Generator, noise: float) -> Recording:
 
 
 @pytest.mark.parametrize(
-    ("decay", "repeats"), [(None, "pool"), pytest.param(None, "each", marks=pytest.mark.long), (0.3, "each")]
+    ("decay", "repeats"),
+    [*(pytest.param(None, how, marks=pytest.mark.long) for how in ("pool", "each")), (0.3, "each")],
 )
 def test_noise_of_a_hammer_within_its_window_is_one_error_of_all_lines(
     decay: float | None, repeats: str

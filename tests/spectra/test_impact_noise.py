@@ -134,7 +134,7 @@ def test_a_loud_recording_does_not_hide_how_well_the_noise_is_known(rng: np.rand
     assert squares.mean() / (2 * outputs) == pytest.approx(dof / (dof - outputs), rel=0.05)
 
 
-@pytest.mark.parametrize(("n_hit", "decay"), [(9, None), (3, 0.3)])
+@pytest.mark.parametrize(("n_hit", "decay"), [pytest.param(9, None, marks=pytest.mark.long), (3, 0.3)])
 def test_noise_of_the_force_is_that_of_each_points_own_response(
     rng: np.random.Generator, n_hit: int, decay: float | None
 ) -> None:

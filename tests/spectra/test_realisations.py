@@ -113,7 +113,7 @@ def test_distortion_and_partial_coherence_survive_the_file(rng: np.random.Genera
     assert np.median(again.partial_coherence) > np.median(again.coherence)
 
 
-@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("single", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_resonance_that_follows_the_phases_scatters_by_what_its_interval_says(single: bool) -> None:
     """Closed form of 2 kg on a spring that scatters by 0.4 % from realisation to realisation: all lines of a
     resonance move together. 95 % intervals of six hold the mean stiffness in 33 of 40 draws or more: by the

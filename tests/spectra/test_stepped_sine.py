@@ -90,6 +90,7 @@ def test_the_transient_is_left_out_as_long_as_it_lasts() -> None:
     assert np.max(error) > 10
 
 
+@pytest.mark.long
 def test_a_transient_that_outlasts_half_a_dwell_may_be_over_in_its_last_quarter() -> None:
     """Thirteen time constants at .05 % of noise: the step is seen for some eight of them, beyond .6 of the
     dwell, and seven of eight records were refused. The mean square of 8 x 2 x 19 parts errs by .08.

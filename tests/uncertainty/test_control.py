@@ -37,6 +37,7 @@ def test_two_values_differ_by_the_closed_form() -> None:
     assert p_value == pytest.approx([0.0339, 0.0339], abs=1e-4)
 
 
+@pytest.mark.long
 def test_p_values_of_alike_tests_are_uniform(rng: np.random.Generator) -> None:
     chances = np.concatenate([from_the_rest(rng.normal(5.0, 0.1, 6), np.full(6, 0.1))[1] for _ in range(400)])
     # Slightly too few small ones are expected: the errors of the others are enlarged where they scatter more

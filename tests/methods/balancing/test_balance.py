@@ -630,6 +630,7 @@ def test_one_reading_says_nothing_of_the_unbalance_in_two_planes(labpipe, tmp_pa
     assert "b.yaml:1:" in ended.err, ended.err
 
 
+@pytest.mark.long
 def test_at_most_so_much_unbalance_is_left():
     """Rigs drawn anew whose two planes act alike but for a thirteenth, eight readings, a trial weight in
     each: the true unbalance with the weights is below the stated upper end in 95 % (of 300, +- 1.3 %).

@@ -198,7 +198,7 @@ def test_leakage_of_random_data_is_no_model_error() -> None:
     assert held >= 11 and worst < 0.01
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize(("gain", "named"), [(0.0, True), (0.1, False)])
 def test_a_mode_just_beyond_the_band_is_no_mismatch_and_a_gain_curve_is(
     known: bool, gain: float, named: bool

@@ -161,7 +161,7 @@ def test_the_amplitude_of_a_peak_that_is_passed_fast_holds_that_of_a_steady_roto
     assert peak.amplitude.high - peak.amplitude.low < 0.05 * height
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_strongly_damped_mode_is_told_by_its_own_frequency_and_damping(sign: int) -> None:
     """At a damping ratio of .12 the peak stands 1.5 % beyond the natural frequency, and .5 / AF is 6 % more
     than the ratio: by these the critical speed was .0032 and -.0022 widths off, at .1 widths squared/s^2.
