@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.bands import block_samples
@@ -212,7 +213,7 @@ def _of_sensor_places(
 def _measure(
     sources: Sequence[SampleSource], settings: FrfSettings, name: str, conditions: dict[str, Any] | None
 ) -> FrequencyResponse:
-    layout = _layout_of(sources, settings)
+    layout, turned = _layout_of(sources, settings)
     sources, settings, shaft = without_shaft(sources, settings)
     cleaned = sources
     forces, responses = (
@@ -227,7 +228,7 @@ def _measure(
     parts = (joint_parts if joint else open_loop)(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
-    of_lines = (*shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
+    of_lines = (*turned, *shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
     findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor
@@ -272,13 +273,18 @@ def _measure(
     )
 
 
-def _layout_of(sources: Sequence[SampleSource], settings: FrfSettings) -> Layout:
+def _layout_of(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[Layout, tuple[Finding, ...]]:
+    """The layout of the recordings, and a note of responses that are turned to the quantity of the others."""
     layout = find_layout(sources)
-    if len(set(layout.orders)) > 1 and settings.excitation == "random" and settings.local == "none":
+    if len(set(layout.orders)) == 1:
+        return layout, ()
+    if settings.excitation == "random" and settings.local == "none":
         what = "the responses are of several quantities, and each leaks from block to block in its own way"
         hint = "local: polynomial follows what leaks; or role: reference for all but one quantity"
         raise DataError(what, hint=hint)
-    return layout
+    pairs = zip(layout.output_sensors, layout.orders, strict=True)
+    names = ", ".join(f"{sensor.name} ({sensor.quantity})" for sensor, n in pairs if n != layout.derivatives)
+    return layout, (note("turned-response", f"{names} turned to the {layout.form} that the others are"),)
 
 
 def _channel_names(layout: Layout) -> tuple[str, ...]:

@@ -256,6 +256,8 @@ def test_motions_of_several_quantities_are_those_of_each_alone(
     recording = Recording((FORCE, *SENSED), np.column_stack([force, noisy]), RATE, "mixed")
     together = measure([recording], settings)
     assert together.form == "receptance"
+    (said,) = [finding.message for finding in together.findings if finding.code == "turned-response"]
+    assert said.startswith("a (acceleration), v (velocity) turned to the receptance")
     for row in range(3):
         channels = [
             replace(c, role="reference") if c not in (FORCE, SENSED[row]) else c for c in recording.channels
