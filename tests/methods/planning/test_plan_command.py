@@ -138,7 +138,7 @@ def test_a_test_carried_out_as_planned(
     assert values == pytest.approx({c.name: found[c.name]["value"] for c in plan.coefficients})
 
 
-@pytest.mark.parametrize("mass", ["0.79 kg", ""])
+@pytest.mark.parametrize("mass", ["0.79 kg +- 5 g", ""])
 def test_a_model_of_a_plugin_is_planned_and_evaluated(
     labpipe: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mass: str
 ) -> None:
@@ -182,6 +182,10 @@ def test_a_model_of_a_plugin_is_planned_and_evaluated(
     (fit,) = json.loads((tmp_path / "out" / "identification.json").read_text("utf-8"))["fits"]
     found = {p["name"]: p for p in fit["parameters"]}
     assert [c.name for c in plan.coefficients] == list(truth)
+    if mass:
+        # Z = k + jh - w^2 m: at the resonance k errs by w^2 dm = k dm / m, h not at all.
+        k, h = (c.systematic for c in plan.coefficients)
+        assert k == pytest.approx(0.005 / 0.79, rel=0.01) and h is not None and h < 1e-5
     for c in plan.coefficients:
         assert abs(found[c.name]["value"] - truth[c.name]) < 4 * found[c.name]["std_error"]
         assert found[c.name]["std_error"] == pytest.approx(c.error * c.scale, rel=0.3)
