@@ -81,7 +81,9 @@ def fitted_curve_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         for name, x, h, line, marker in pair:
             for series, y in ((amplitude, factor * np.abs(h)), (phase, phase_degrees(h))):
                 series.append(chart.curve(name, x, y, colour, line, width=1.5, marker=marker, entry=entry))
-        residual.append(_residual(fitted, o, i, f"{label} measured", colour, entry))
+        if np.all(fitted.fitted[:, o, i]):
+            # Nothing is relative to an element that the model takes for zero.
+            residual.append(_residual(fitted, o, i, f"{label} measured", colour, entry))
     panels = (
         over_frequency(form_axis(fitted.form), amplitude, 3.0),
         over_frequency(PHASE, phase, 2.0),

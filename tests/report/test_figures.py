@@ -81,6 +81,15 @@ def test_the_residual_is_relative_to_the_fit_with_its_band_where_the_noise_has_a
     assert bare.graphic.panels[2].series[0].low is None and "shaded" not in bare.caption
 
 
+def test_an_element_that_the_model_takes_for_zero_has_no_relative_residual() -> None:
+    two = np.concatenate([MATRIX, MATRIX], axis=2)
+    fitted = two * [2.0, 0.0]
+    curve = replace(CURVE, measured=two, fitted=fitted, variance=None, inputs=("f", "g"))
+    panels = fitted_curve_figure(FIT, curve).graphic.panels
+    assert list(named(panels[0])) == ["y/f measured", "y/f fitted", "y/g measured", "y/g fitted"]
+    assert list(named(panels[2])) == ["y/f measured"]
+
+
 def test_the_fit_is_drawn_where_it_was_computed_between_the_lines() -> None:
     between = np.linspace(10.0, 30.0, 5)
     dense = replace(CURVE, dense_frequency=between, dense=np.full((5, 1, 1), 3e-6 + 0j))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from labpipe.document.render import DOCUMENTS
 from labpipe.errors import SettingError
 from labpipe.estimation.fitting import identify
 from labpipe.methods.planning.campaigns import Multisines, PlannedRig as LimitedRig
-from labpipe.methods.planning.model import AXES, FLOATING, UNITS
+from labpipe.methods.planning.model import AXES, FLOATING, UNITS, axes_of_model
 from labpipe.methods.planning.plan import Planned, make_plan, planned_test
 from labpipe.methods.planning.plan_file import NAME, REPORT, PlanFile, write_plan, write_settings
 from labpipe.methods.planning.records import PlannedTest
@@ -256,7 +256,10 @@ def _coefficient_budget(fit: Fit, names: Sequence[str]) -> Budget | None:
 def excitation_files(file: PlanFile, output: OutputFolder) -> tuple[list[str], list[str]]:
     """Plan the excitation and write its files; sentences on it, and the files' names."""
     settings: PlanSettings = file.settings
-    planned = make_plan(settings, _read_expected(file), file.title, rehearsal(file))
+    expected = _read_expected(file)
+    axes = axes_of_model(settings.model, expected.values, len(settings.shakers))
+    settings = replace(settings, axes=axes)
+    planned = make_plan(settings, expected, file.title, rehearsal(replace(file, settings=settings)))
     plan = planned.plan
     names = _write_signals(planned, output)
     write_plan(output.write_path(NAME), plan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -123,7 +122,9 @@ class SignalSettings(Settings):
 
 @dataclass(frozen=True)
 class PlanSettings(SignalSettings):
-    """What is to be determined, with which rig, within which limits."""
+    """What is to be determined, with which rig, within which limits. *axes*: directions of forces and
+    responses, by default those that the typed coefficients need.
+    """
 
     model: str = choice("what will be identified", (*excitable_models(), FLOATING))
     _: KW_ONLY
@@ -178,8 +179,12 @@ class PlanSettings(SignalSettings):
     )
     uncertainties: Uncertainties = ()
     sensors: Rig | None = None
+    axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if not self.axes:
+            axes = axes_of_model(self.model, dict(self.expected), len(self.shakers))
+            object.__setattr__(self, "axes", axes)
         self.require_positive("period", "sample_rate", "duration", "force_limit", "displacement_limit")
         self.require_positive("mass", "speed", "mains")
         if (self.noise is None) == (self.noise_density is None):
@@ -202,11 +207,6 @@ class PlanSettings(SignalSettings):
     @property
     def floating(self) -> bool:
         return is_floating(self.model)
-
-    @functools.cached_property
-    def axes(self) -> tuple[str, ...]:
-        """The directions of forces and responses."""
-        return axes_of_model(self.model, dict(self.expected), len(self.shakers))
 
     def _check_expected(self) -> None:
         if not self.expected and not self.earlier and self.theory is None:

@@ -57,6 +57,20 @@ ROTOR = {
 }
 
 
+# Of fits to FRFs, which take one shaker after the other.
+DIRECT = {
+    **ROTOR,
+    "model": "rotor-2dof-direct",
+    "expected": {"k_xx": "180 kN/m", "k_yy": "210 kN/m", "c_xx": "120 N.s/m", "c_yy": "150 N.s/m"},
+}
+CHAIN = {
+    **ROTOR,
+    "model": "mdof",
+    "expected": {
+        **{"k_x_x": "180 kN/m", "k_x_y": "-25 kN/m", "k_y_x": "-25 kN/m", "k_y_y": "210 kN/m"},
+        **{"c_x_x": "120 N.s/m", "c_x_y": "-15 N.s/m", "c_y_x": "-15 N.s/m", "c_y_y": "150 N.s/m"},
+    },
+}
 LIMITED = (("force", "N"), ("displacement", "m"))
 
 
@@ -102,6 +116,8 @@ def _carry_out(plan: Plan, folder: Path, seed: int) -> None:
         pytest.param(PEDESTAL, "one by one", marks=pytest.mark.long),
         pytest.param(ROTOR, "interleaved", marks=pytest.mark.long),
         pytest.param(ROTOR, "together", marks=pytest.mark.long),
+        pytest.param(DIRECT, "one by one", marks=pytest.mark.long),
+        pytest.param(CHAIN, "one by one", marks=pytest.mark.long),
     ],
 )
 def test_a_test_carried_out_as_planned(
