@@ -187,12 +187,14 @@ def _model(setup: Setup) -> derived.BandModel:
     """The settings' model; the residue of a transfer FRF of unknown mass, of any sign and phase, and residual
     terms beside a mode need no linear equations.
     """
+    # Whatever does not fit the model's ports is refused here for all of them.
+    linear = setup.settings.kind.model(setup)
     if _may_have_residuals(setup):
         if transfer_of(setup):
             return TransferMode()
         if setup.settings.residuals:
             return DrivingMode()
-    return damp(setup.settings.kind.model(setup), setup.settings)
+    return damp(linear, setup.settings)
 
 
 def _may_have_residuals(setup: Setup) -> bool:

@@ -194,6 +194,7 @@ def mdof(setup: Setup) -> DynamicModel:
     terms = [term for pair in kinds for term in _entries(*pair, dofs, shape, symmetric)]
     mass = _fixed_mass(settings.mass, len(dofs))
     if mass is None:
+        _check_scale(force, dofs, settings)
         of_mass = _entries("m", "mass", dofs, shape, symmetric, droppable=False)
         terms += [t for t in of_mass if not settings.lumped_mass or np.any(np.diag(t.matrices.mass))]
         mass = np.zeros((len(dofs), len(dofs)))
@@ -202,6 +203,14 @@ def mdof(setup: Setup) -> DynamicModel:
         terms.append(replace(term, unit="1", matrices=replace(term.matrices, mass=mass)))
         mass = np.zeros_like(mass)
     return DynamicModel("mdof", tuple(terms), fixed_matrices(mass, force))
+
+
+def _check_scale(force: FloatArray, dofs: list[str], settings: FitSettings) -> None:
+    """ConfigError where rows of K, C and M without a force can be added to any row, times any factor."""
+    unforced = [dof for dof, forces in zip(dofs, force, strict=True) if not np.any(forces)]
+    if unforced and not (settings.symmetric or settings.tied or settings.fixed):
+        what = f"without a mass, and without a force on {', '.join(unforced)}, the coefficients have no scale"
+        raise ConfigError(what, hint="mass: [1 kg, ...], symmetric: true, or a force at every response")
 
 
 def _entries(

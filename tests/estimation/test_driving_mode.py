@@ -4,6 +4,8 @@ form.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,6 +84,15 @@ def test_a_driving_point_without_an_oscillator_is_fitted_beside_a_constant() -> 
 def test_residual_terms_are_of_a_mode_by_its_coefficients_alone(keys: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match="residuals"):
         FitSettings("sdof", residuals=True, **keys)
+
+
+def test_residual_terms_are_of_one_response() -> None:
+    """Of two the fit with them ended in a fault of the shapes of arrays, which the plain model refuses."""
+    one = response(mode(*MODE))
+    outputs = (*one.outputs, Port("z", "z", "4"))
+    two = replace(one, matrix=np.repeat(one.matrix, 2, axis=1), outputs=outputs)
+    with pytest.raises(ConfigError, match=r"sdof takes 1 response\(s\), found y, z"):
+        identify(two, FitSettings("sdof", residuals=True))
 
 
 def test_the_compared_model_is_that_of_the_fit() -> None:

@@ -156,11 +156,17 @@ def test_forces_are_found_by_their_dof_not_by_their_order(three_dof_response) ->
         ({"tied": (("k_1_1", "c_1_1"),)}, "cannot have one value"),
         ({"output": ("1", "2"), "input": ("f1",)}, "does not fit 2 responses"),
         ({"output": ("1", "2"), "mass": (1.0, 2.0)}, "acts on dof '3', which has no response"),
+        ({"mass": "estimate", "symmetric": False, "input": ("f1",)}, "a force on 2, 3, .* no scale"),
     ],
 )
 def test_what_does_not_fit_is_said(three_dof_response, change: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         identify(three_dof_response(), replace(KNOWN, **change))
+
+
+def test_one_force_without_a_mass_tells_matrices_that_are_symmetric(three_dof_response) -> None:
+    settings = replace(KNOWN, mass="estimate", input=("f1",), estimator="ls")
+    np.testing.assert_allclose(matrix(one(three_dof_response(), settings), "k"), STIFFNESS, atol=1e-6)
 
 
 def test_a_negative_direct_coefficient_is_called_unphysical(three_dof_response) -> None:
