@@ -253,8 +253,10 @@ def without_window_noise(
     """
     left = motion - gain * force[..., None]
     columns = -gain[:, :, None] * shapes[:, None, :]
+    # Hits that repeat to the last digit scatter by nothing.
+    least = np.finfo(float).eps ** 2 * np.mean(np.abs(motion) ** 2, axis=0) + np.finfo(float).tiny
     for _ in range(PASSES):
-        weights = np.sqrt(2 / noise)[..., None]
+        weights = np.sqrt(2 / np.maximum(noise, least))[..., None]
         rows = (
             (columns * weights).reshape(-1, shapes.shape[1]),
             (left * weights[..., 0]).reshape(len(left), -1).T,
@@ -262,10 +264,12 @@ def without_window_noise(
         design, right = (np.concatenate([of.real, of.imag]) for of in rows)
         inverse = np.linalg.inv(np.eye(shapes.shape[1]) + design.T @ design)
         amounts = inverse @ (design.T @ right)
-        kept = 1 - np.mean(np.sum(design @ inverse * design, axis=1).reshape(2, *gain.shape), axis=0)
+        taken = np.mean(np.sum(design @ inverse * design, axis=1).reshape(2, *gain.shape), axis=0)
+        kept = np.maximum(1 - taken, np.finfo(float).eps)
         rest = left - np.moveaxis(columns @ amounts, -1, 0)
         noise = np.mean(np.abs(rest) ** 2, axis=0) / kept
     force = force - (shapes @ amounts).T
-    power = np.sum(np.abs(force) ** 2, axis=0)[:, None]
+    # A pulse of a few samples has no power at all at some line.
+    power = np.maximum(np.sum(np.abs(force) ** 2, axis=0), np.finfo(float).tiny)[:, None]
     mean = np.sum(motion * force[..., None].conj(), axis=0) / power * force[..., None]
     return mean + (motion - mean) / np.sqrt(kept), force

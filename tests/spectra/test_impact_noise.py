@@ -167,3 +167,27 @@ def test_noise_of_the_force_is_that_of_each_points_own_response(
     dof = response.covariance_dof
     # 48 draws of seven lines, of which three may share their noise: 9 %.
     assert np.mean(squares, axis=(0, 1)) == pytest.approx([dof / (dof - 1)] * 2, rel=0.3)
+
+
+def test_a_recording_without_any_noise_beside_others_is_no_fault(rng: np.random.Generator) -> None:
+    """Under a force window hits are aligned: one whose responses scatter by nothing had infinite weights, and
+    pulses of samples 1, 2, 1 have no power at half the sampling rate.
+    """
+    rate, n = 512.0, 20 * 512
+    force = np.zeros(2 * n)
+    for begin in range(150, n - 600, 1024):
+        force[begin : begin + 3] = 50.0, 100.0, 50.0
+    w = 2 * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
+    receptance = 1 / (180e3 - 0.92 * w**2 + 120j * w)
+    clean = np.column_stack([force, np.fft.irfft(np.fft.rfft(force) * receptance, 2 * n)])[:n]
+    channels = (Channel("f", "force", "input", "x"), Channel("x", "displacement", "output", "x"))
+    runs = [
+        Recording(channels, clean + noise * np.std(clean, axis=0) * rng.normal(size=clean.shape), rate, "run")
+        for noise in (0.003, 0.0)
+    ]
+    hits = ImpactSettings(force_window=0.05)
+    response = measure(runs, FrfSettings("impact", block=1.0, impact=hits))
+    assert "force-noise" in [finding.code for finding in response.findings]
+    omega = 2 * np.pi * response.frequency
+    off = response.matrix[:, 0, 0] * (180e3 - 0.92 * omega**2 + 120j * omega) - 1
+    assert np.max(np.abs(off[(omega > 200) & (omega < 900)])) < 0.05
