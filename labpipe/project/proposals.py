@@ -24,7 +24,7 @@ from labpipe.project.settings_reader import DECIDE, conditions_in, plain_stem
 from labpipe.quantities import UnitError, parse_unit
 from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import TEXT_SUFFIXES, RawTable, check_time, open_table
-from labpipe.raw_files.text_table import open_text, plain_suffix
+from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
@@ -352,20 +352,8 @@ def _power(samples: FloatArray, taper: FloatArray) -> FloatArray:
 BY_UNIT = {"speed": "Hz", "load": "N", "temperature": "K", "pressure": "Pa", "voltage": "V", "current": "A"}
 BY_UNIT |= {"gap": "m", "mass": "kg", "time": "s", "moment": "N.m"}
 COUNTS = (
-    "run",
-    "rep",
-    "repeat",
-    "test",
-    "rec",
-    "file",
-    "no",
-    "nr",
-    "meas",
-    "trial",
-    "messung",
-    "lauf",
-    "number",
-)
+    "run", "rep", "repeat", "test", "rec", "file", "no", "nr", "meas", "trial", "messung", "lauf", "number",
+)  # fmt: skip
 CASE = "case"
 # Fewest files of a folder with the same columns beside which those with others are left out.
 OF_ONE_KIND = 3
@@ -387,15 +375,11 @@ def recordings_in(folder: Path) -> tuple[list[Path], dict[str, str]]:
             left_out[path.name] = error.what
     if not columns:
         raise DataError("holds no recording that can be read", folder)
-    stems = [plain_stem(path) for path in columns]
-    tables = [path for path in columns if conditions_of_table(path, set(stems) - {plain_stem(path)})]
-    kinds = Counter(names for path, names in columns.items() if path not in tables)
-    ((kind, count),) = kinds.most_common(1)
-    for path in [path for path, names in columns.items() if names != kind and path not in tables]:
-        if count >= OF_ONE_KIND:
-            left_out[path.name] = "has other columns"
-            del columns[path]
-    return list(columns), left_out
+    recordings, _ = without_table(list(columns))
+    ((kind, count),) = Counter(columns[path] for path in recordings).most_common(1)
+    if count >= OF_ONE_KIND:
+        left_out |= {path.name: "has other columns" for path in recordings if columns[path] != kind}
+    return [path for path in columns if path.name not in left_out], left_out
 
 
 def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[str, str]]:
@@ -404,24 +388,25 @@ def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[st
     """
     if plain_suffix(path) not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE or len(stems) < 2:
         return {}
-    with open_text(path) as lines, suppress(csv.Error):
-        text = lines.read()
-        rows = list(csv.reader(text.splitlines(), csv.Sniffer().sniff(text, ",;\t|")))
-        titles, entries = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
-        for number, column in enumerate(zip(*entries, strict=True)):
-            named = [plain_stem(Path(cell.strip())) for cell in column]
-            if 2 * len(set(named) & set(stems)) > len(stems):
-                others = [
-                    (place, *_condition(title)) for place, title in enumerate(titles) if place != number
-                ]
-                return {
-                    stem: {
-                        name: f"{row[place].strip().replace(',', '.')} {unit}".strip()
-                        for place, name, unit in others
-                        if name and row[place].strip()
-                    }
-                    for stem, row in zip(named, entries, strict=True)
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, sep=None, engine="python", dtype=str, index_col=False).fillna("")
+    except (ValueError, csv.Error):
+        return {}
+    for column in table:
+        named = [plain_stem(Path(cell.strip())) for cell in table[column]]
+        if 2 * len({*named} & {*stems}) > len(stems):
+            parts = {title: _condition(title) for title in table.columns.drop(column)}
+            rows = zip(named, table.to_dict("records"), strict=True)
+            return {
+                stem: {
+                    name: f"{cell.strip().replace(',', '.')} {unit}".strip()
+                    for title, (name, unit) in parts.items()
+                    if (cell := row[title]).strip()
                 }
+                for stem, row in rows
+            }
     return {}
 
 

@@ -303,9 +303,7 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
     return tuple(outcome for outcome in OUTCOMES if outcome in texts)
 
 
-def _rule_texts(
-    entry: Marked, key: str, faults: Faults, item: str, verdicts: tuple[str, ...]
-) -> list[str]:
+def _rule_texts(entry: Marked, key: str, faults: Faults, item: str, verdicts: tuple[str, ...]) -> list[str]:
     what = item.rpartition(".")[2]
     nodes = list_entries(entry)
     if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
