@@ -21,7 +21,7 @@ from labpipe.errors import DataError, LabpipeError
 from labpipe.project import first_guess
 from labpipe.project.ready_response import is_response
 from labpipe.project.settings_reader import DECIDE, conditions_in, plain_stem
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import parse_unit
 from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import TEXT_SUFFIXES, RawTable, check_time, open_table
 from labpipe.raw_files.text_table import plain_suffix
@@ -466,10 +466,8 @@ def _name_of_unit(unit: str) -> str:
     """What is usually measured in a *unit*; empty for none."""
     if unit.endswith("Hz"):
         return "frequency"
-    with suppress(UnitError):
-        dimension = parse_unit("degC" if unit == "C" else unit).dimension
-        return next((name for name, of in BY_UNIT.items() if parse_unit(of).dimension == dimension), "")
-    return ""
+    dimensions = first_guess.dimensions_of(unit)
+    return next((name for name, of in BY_UNIT.items() if parse_unit(of).dimension in dimensions), "")
 
 
 def without_table(files: Sequence[Path]) -> tuple[Sequence[Path], dict[str, dict[str, str]]]:
