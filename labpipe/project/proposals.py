@@ -24,7 +24,6 @@ from labpipe.project.settings_reader import DECIDE, conditions_in, plain_stem
 from labpipe.quantities import parse_unit
 from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import TEXT_SUFFIXES, RawTable, check_time, open_table
-from labpipe.raw_files.text_table import plain_suffix
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
@@ -360,33 +359,37 @@ OF_ONE_KIND = 3
 _SEPARATORS = re.compile(r"([-_\s]+|(?<!\d)\.|\.(?!\d))")
 _NUMBER = re.compile(r"([^\W\d_]*)(\d+(?:\.\d+)?)([^\W\d_]*|%|°C)")
 _TITLE = re.compile(r"(.+?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?")
-# Most characters of a table of conditions: a recording is longer.
-SHORT_TABLE = 1 << 20
+# Most characters of a table of conditions, and its most rows for each recording.
+SHORT_TABLE, ROWS_PER_RECORDING = 1 << 17, 10
 
 
 def recordings_in(folder: Path) -> tuple[list[Path], dict[str, str]]:
     """The files of a *folder* that can be read, and why others are left out, by name. DataError for none."""
     columns: dict[Path, tuple[str, ...]] = {}
     left_out: dict[str, str] = {}
-    for path in sorted(path for path in folder.iterdir() if path.is_file() and path.name[0] != "."):
+    paths = sorted(path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
+    for path in paths:
         try:
             columns[path] = () if is_response(path) else tuple(open_table(path).columns)
         except LabpipeError as error:
             left_out[path.name] = error.what
-    if not columns:
+    stems = {plain_stem(path) for path in columns}
+    tables = {path.name for path in paths if conditions_of_table(path, stems - {plain_stem(path)})}
+    kinds = Counter(names for path, names in columns.items() if path.name not in tables).most_common(1)
+    if not kinds:
         raise DataError("holds no recording that can be read", folder)
-    recordings, _ = without_table(list(columns))
-    ((kind, count),) = Counter(columns[path] for path in recordings).most_common(1)
+    ((kind, count),) = kinds
     if count >= OF_ONE_KIND:
-        left_out |= {path.name: "has other columns" for path in recordings if columns[path] != kind}
-    return [path for path in columns if path.name not in left_out], left_out
+        left_out |= {path.name: "has other columns" for path, names in columns.items() if names != kind}
+    left_out = {name: why for name, why in left_out.items() if name not in tables}
+    return [path for path in paths if path.name not in left_out], left_out
 
 
 def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[str, str]]:
     """The conditions of recordings by their *stems*, from a short text table with a column that names each of
     most of them, and a column for every condition: "speed [rpm]" of 500 is speed: 500 rpm. Empty for others.
     """
-    if plain_suffix(path) not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE or len(stems) < 2:
+    if path.suffix.lower() not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE:
         return {}
     import pandas as pd
 
@@ -394,7 +397,8 @@ def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[st
         table = pd.read_csv(path, sep=None, engine="python", dtype=str, index_col=False).fillna("")
     except (ValueError, csv.Error):
         return {}
-    for column in table:
+    # Times and frequencies look like names such as 1.csv, of many more rows.
+    for column in table if len(table) <= ROWS_PER_RECORDING * (1 + len(stems)) else ():
         named = [plain_stem(Path(cell.strip())) for cell in table[column]]
         if 2 * len({*named} & {*stems}) > len(stems):
             parts = {title: _condition(title) for title in table.columns.drop(column)}
@@ -510,7 +514,7 @@ class Tests:
         """The entry `recordings`, `frfs` or `tests` by the *kind* of files: each file of a pattern is a test
         where their names say by numbers what differed.
         """
-        if len(self.paths) == 1:
+        if len(self.paths) == 1 and not self.conditions:
             return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
         stems = [plain_stem(file) for file in self.files]
         pattern = pattern_of_names(stems) if kind == "recordings" and not self.conditions else ""
