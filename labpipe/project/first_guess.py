@@ -286,7 +286,7 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
     match = re.match(r"^\s*[\d.eE+-]+\s*(\S.*)$", sensitivity)
     if match is None or _measured_in(channel.unit) != "voltage":
         return channel
-    stated, volt = _dimensions(match[1]), parse_unit("V").dimension
+    stated, volt = dimensions_of(match[1]), parse_unit("V").dimension
     for quantity in _RECORDED:
         wanted = tuple(u - q for u, q in zip(volt, _si_dimension(quantity), strict=True))
         if wanted in stated and quantity != "voltage":
@@ -296,7 +296,7 @@ def _sense(channel: GuessedChannel, sensitivity: str) -> GuessedChannel:
 
 
 def _measured_in(unit: str) -> str:
-    dimensions = _dimensions(unit)
+    dimensions = dimensions_of(unit)
     return next((name for name in _RECORDED if _si_dimension(name) in dimensions), "")
 
 
@@ -304,7 +304,8 @@ def _si_dimension(quantity: str) -> Dimension:
     return parse_unit(QUANTITIES[quantity].si_unit).dimension
 
 
-def _dimensions(unit: str) -> list[Dimension]:
+def dimensions_of(unit: str) -> list[Dimension]:
+    """What may be measured in a *unit*, as of `readings`; nothing in one that is unknown."""
     try:
         return [reading.dimension for reading in readings(unit)]
     except UnitError:

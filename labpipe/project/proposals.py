@@ -21,10 +21,9 @@ from labpipe.errors import DataError, LabpipeError
 from labpipe.project import first_guess
 from labpipe.project.ready_response import is_response
 from labpipe.project.settings_reader import DECIDE, conditions_in, plain_stem
-from labpipe.quantities import UnitError, parse_unit
+from labpipe.quantities import parse_unit
 from labpipe.raw_files.first_look import Excitation, look, round_down
 from labpipe.raw_files.table import TEXT_SUFFIXES, RawTable, check_time, open_table
-from labpipe.raw_files.text_table import open_text, plain_suffix
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
@@ -352,76 +351,66 @@ def _power(samples: FloatArray, taper: FloatArray) -> FloatArray:
 BY_UNIT = {"speed": "Hz", "load": "N", "temperature": "K", "pressure": "Pa", "voltage": "V", "current": "A"}
 BY_UNIT |= {"gap": "m", "mass": "kg", "time": "s", "moment": "N.m"}
 COUNTS = (
-    "run",
-    "rep",
-    "repeat",
-    "test",
-    "rec",
-    "file",
-    "no",
-    "nr",
-    "meas",
-    "trial",
-    "messung",
-    "lauf",
-    "number",
-)
+    "run", "rep", "repeat", "test", "rec", "file", "no", "nr", "meas", "trial", "messung", "lauf", "number",
+)  # fmt: skip
 CASE = "case"
 # Fewest files of a folder with the same columns beside which those with others are left out.
 OF_ONE_KIND = 3
 _SEPARATORS = re.compile(r"([-_\s]+|(?<!\d)\.|\.(?!\d))")
 _NUMBER = re.compile(r"([^\W\d_]*)(\d+(?:\.\d+)?)([^\W\d_]*|%|°C)")
 _TITLE = re.compile(r"(.+?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?")
-# Most characters of a table of conditions: a recording is longer.
-SHORT_TABLE = 1 << 20
+# Most characters of a table of conditions, and its most rows for each recording.
+SHORT_TABLE, ROWS_PER_RECORDING = 1 << 17, 10
 
 
 def recordings_in(folder: Path) -> tuple[list[Path], dict[str, str]]:
     """The files of a *folder* that can be read, and why others are left out, by name. DataError for none."""
     columns: dict[Path, tuple[str, ...]] = {}
     left_out: dict[str, str] = {}
-    for path in sorted(path for path in folder.iterdir() if path.is_file() and path.name[0] != "."):
+    paths = sorted(path for path in folder.iterdir() if path.is_file() and path.name[0] != ".")
+    for path in paths:
         try:
             columns[path] = () if is_response(path) else tuple(open_table(path).columns)
         except LabpipeError as error:
             left_out[path.name] = error.what
-    if not columns:
+    stems = {plain_stem(path) for path in columns}
+    tables = {path.name for path in paths if conditions_of_table(path, stems - {plain_stem(path)})}
+    kinds = Counter(names for path, names in columns.items() if path.name not in tables).most_common(1)
+    if not kinds:
         raise DataError("holds no recording that can be read", folder)
-    stems = [plain_stem(path) for path in columns]
-    tables = [path for path in columns if conditions_of_table(path, set(stems) - {plain_stem(path)})]
-    kinds = Counter(names for path, names in columns.items() if path not in tables)
-    ((kind, count),) = kinds.most_common(1)
-    for path in [path for path, names in columns.items() if names != kind and path not in tables]:
-        if count >= OF_ONE_KIND:
-            left_out[path.name] = "has other columns"
-            del columns[path]
-    return list(columns), left_out
+    ((kind, count),) = kinds
+    if count >= OF_ONE_KIND:
+        left_out |= {path.name: "has other columns" for path, names in columns.items() if names != kind}
+    left_out = {name: why for name, why in left_out.items() if name not in tables}
+    return [path for path in paths if path.name not in left_out], left_out
 
 
 def conditions_of_table(path: Path, stems: Collection[str]) -> dict[str, dict[str, str]]:
     """The conditions of recordings by their *stems*, from a short text table with a column that names each of
     most of them, and a column for every condition: "speed [rpm]" of 500 is speed: 500 rpm. Empty for others.
     """
-    if plain_suffix(path) not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE or len(stems) < 2:
+    if path.suffix.lower() not in TEXT_SUFFIXES or path.stat().st_size > SHORT_TABLE:
         return {}
-    with open_text(path) as lines, suppress(csv.Error):
-        text = lines.read()
-        rows = list(csv.reader(text.splitlines(), csv.Sniffer().sniff(text, ",;\t|")))
-        titles, entries = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])]
-        for number, column in enumerate(zip(*entries, strict=True)):
-            named = [plain_stem(Path(cell.strip())) for cell in column]
-            if 2 * len(set(named) & set(stems)) > len(stems):
-                others = [
-                    (place, *_condition(title)) for place, title in enumerate(titles) if place != number
-                ]
-                return {
-                    stem: {
-                        name: f"{row[place].strip().replace(',', '.')} {unit}".strip()
-                        for place, name, unit in others
-                        if name and row[place].strip()
-                    }
-                    for stem, row in zip(named, entries, strict=True)
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(path, sep=None, engine="python", dtype=str, index_col=False).fillna("")
+    except (ValueError, csv.Error):
+        return {}
+    # Times and frequencies look like names such as 1.csv, of many more rows.
+    for column in table if len(table) <= ROWS_PER_RECORDING * (1 + len(stems)) else ():
+        named = [plain_stem(Path(cell.strip())) for cell in table[column]]
+        if 2 * len({*named} & {*stems}) > len(stems):
+            parts = {title: _condition(title) for title in table.columns.drop(column)}
+            rows = zip(named, table.to_dict("records"), strict=True)
+            return {
+                stem: {
+                    name: f"{cell.strip().replace(',', '.')} {unit}".strip()
+                    for title, (name, unit) in parts.items()
+                    if (cell := row[title]).strip()
                 }
+                for stem, row in rows
+            }
     return {}
 
 
@@ -481,10 +470,8 @@ def _name_of_unit(unit: str) -> str:
     """What is usually measured in a *unit*; empty for none."""
     if unit.endswith("Hz"):
         return "frequency"
-    with suppress(UnitError):
-        dimension = parse_unit("degC" if unit == "C" else unit).dimension
-        return next((name for name, of in BY_UNIT.items() if parse_unit(of).dimension == dimension), "")
-    return ""
+    dimensions = first_guess.dimensions_of(unit)
+    return next((name for name, of in BY_UNIT.items() if parse_unit(of).dimension in dimensions), "")
 
 
 def without_table(files: Sequence[Path]) -> tuple[Sequence[Path], dict[str, dict[str, str]]]:
@@ -527,7 +514,7 @@ class Tests:
         """The entry `recordings`, `frfs` or `tests` by the *kind* of files: each file of a pattern is a test
         where their names say by numbers what differed.
         """
-        if len(self.paths) == 1:
+        if len(self.paths) == 1 and not self.conditions:
             return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
         stems = [plain_stem(file) for file in self.files]
         pattern = pattern_of_names(stems) if kind == "recordings" and not self.conditions else ""

@@ -254,7 +254,7 @@ def _quantity(quantity: ET.Element, table: int) -> Iterator[CertifiedQuantity]:
         if _local(number) not in _NUMBERS:
             continue
         end = _NUMBERS[_local(number)]
-        values = _listing(_only(number, f"value{end}", SI))
+        values = _listing(number, f"value{end}")
         # A list has one unit for all, or one for each.
         text = _text(_only(number, f"unit{end}", SI))
         units = dict.fromkeys(text.split() if end else [text])
@@ -299,11 +299,9 @@ def _std_errors(number: ET.Element, end: str, count: int) -> tuple[float, ...] |
     if not stated:
         return None
     element, size, factor = stated[0]
-    sizes = _repeat_single(_listing(_only(element, f"{size}{end}", SI)), count)
-    factors = (
-        _repeat_single(_listing(_only(element, f"{factor}{end}", SI)), count) if factor else (1.0,) * count
-    )
-    return _quotients(sizes, factors)
+    sizes = _repeat_single(_listing(element, f"{size}{end}"), count)
+    factors = _listing(element, f"{factor}{end}") if factor else (1.0,)
+    return _quotients(sizes, _repeat_single(factors, count))
 
 
 def _quotients(sizes: Sequence[float], factors: Sequence[float]) -> tuple[float, ...]:
@@ -318,8 +316,8 @@ def _repeat_single(values: tuple[float, ...], count: int) -> tuple[float, ...]:
     return values * count if len(values) == 1 else values
 
 
-def _listing(element: ET.Element) -> tuple[float, ...]:
-    return tuple(_finite(text, _local(element)) for text in _text(element).split())
+def _listing(element: ET.Element, name: str) -> tuple[float, ...]:
+    return tuple(_finite(text, name) for text in _text(_only(element, name, SI)).split())
 
 
 def _finite(text: str, name: str) -> float:

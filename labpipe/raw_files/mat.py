@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 import warnings
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -121,82 +119,6 @@ def _value(file: h5py.File, item: h5py.Dataset) -> Any:
     return values.T if kind else values
 
 
-# Consistency check of a MATLAB 5 file's elements: some damaged files would crash scipy's reader and with it
-# the program.
-
-_HEADER = 128
-_MATRIX, _COMPRESSED = 14, 15
-_TYPES = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 15, 16, 17, 18))
-_CLASSES, _OPAQUE = range(1, 18), 17
-# Cells and structures hold an element for each of their places.
-_BOXES, _COMPLEX = (1, 2), 0x800
-# Elements with numbers by class: text and numbers 1, of a sparse matrix also the places.
-_PARTS = {4: 1, 5: 3, **dict.fromkeys(range(6, 16), 1)}
-_FLAGS, _DIMENSIONS = 6, 5
-
-
-def check_elements(path: Path) -> None:
-    """ValueError for an element longer than its container, of unknown type, or a matrix without flags and
-    size; zlib.error for a wrong checksum.
-    """
-    content = path.read_bytes()
-    if 0 not in content[:4]:
-        # As scipy takes the order, whatever damaged letters stand there.
-        order = "<" if content[126:128] == b"IM" else ">"
-        _check(memoryview(content), _HEADER, len(content), order, top=True)
-
-
-def _check(content: memoryview, begin: int, end: int, order: str, top: bool = False) -> int:
-    number = 0
-    while begin < end:
-        kind, start, size, following = _element(content, begin, end, order)
-        if top and kind not in (_MATRIX, _COMPRESSED):
-            raise ValueError(f"an element of type {kind} is not a variable")
-        if kind == _COMPRESSED:
-            inner = zlib.decompress(content[start : start + size])
-            _check(memoryview(inner), 0, len(inner), order)
-        if kind == _MATRIX and size:
-            _check_matrix(content, start, start + size, order)
-        begin, number = following, number + 1
-    return number
-
-
-def _element(content: memoryview, begin: int, end: int, order: str) -> tuple[int, int, int, int]:
-    """(type, first byte, number of bytes, first byte after it) of the element at *begin*."""
-    if begin + 8 > end:
-        raise ValueError("an element is cut off")
-    kind, size = struct.unpack(f"{order}II", content[begin : begin + 8])
-    start = begin + 8
-    if kind >> 16:
-        kind, size, start, following = kind & 0xFFFF, kind >> 16, begin + 4, begin + 8
-    else:
-        following = start + size + (0 if kind == _COMPRESSED else -size % 8)
-    if kind not in _TYPES or start + size > end or (start == begin + 4 and size > 4):
-        raise ValueError("an element is damaged or cut off")
-    return kind, start, size, following
-
-
-def _check_matrix(content: memoryview, begin: int, end: int, order: str) -> None:
-    kind, start, size, following = _element(content, begin, end, order)
-    flags = struct.unpack(f"{order}I", content[start : start + 4])[0] if (kind, size) == (_FLAGS, 8) else 0
-    if flags & 0xFF not in _CLASSES:
-        raise ValueError("a variable has no flags")
-    if flags & 0xFF == _OPAQUE:
-        # An object of a class: names in place of a size, and its numbers elsewhere; nobody reads it.
-        _check(content, following, end, order)
-        return
-    kind, start, size, following = _element(content, following, end, order)
-    if kind != _DIMENSIONS or size < 8 or size % 4:
-        raise ValueError("a variable has no size")
-    dimensions = struct.unpack(f"{order}{size // 4}i", content[start : start + size])
-    if flags & 0xFF in _BOXES and math.prod(dimensions) > end - following:
-        raise ValueError("a variable lacks its parts")
-    parts = _check(content, following, end, order) - 1
-    wanted = _PARTS.get(flags & 0xFF)
-    if wanted is not None and parts != wanted + bool(flags & _COMPLEX):
-        raise ValueError("a variable lacks its numbers")
-
-
 # MATLAB files of versions 4 to 7, and of 7.3 as HDF5; no content is executed or unpickled.
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -210,13 +132,21 @@ def is_hdf5(path: Path) -> bool:
 
 
 def load_variables(path: Path) -> dict[str, Any]:
-    """The variables of a MATLAB file up to version 7; DataError for an unreadable file."""
+    """The variables of a MATLAB file up to version 7; DataError for an unreadable file: some damaged ones
+    crash scipy's reader, so that a child process reads it first.
+    """
     check_filled(path)
-    with reading(path, "MATLAB file"), warnings.catch_warnings():
+    check_in_child(path, "MATLAB", load_all)
+    with reading(path, "MATLAB file"):
+        return {name: value for name, value in load_all(path).items() if not name.startswith("__")}
+
+
+def load_all(path: Path) -> dict[str, Any]:
+    """What scipy reads of a MATLAB file, notes on it among the variables."""
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        check_elements(path)
-        variables = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
-    return {name: value for name, value in variables.items() if not name.startswith("__")}
+        variables: dict[str, Any] = scipy.io.loadmat(str(path), chars_as_strings=True, appendmat=False)
+    return variables
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -104,7 +104,7 @@ class GuardedTable:
 # reach of exceptions.
 
 # Reads a file as the program does later: it raises, loops or crashes where that would.
-Touch = Callable[[Path], None]
+Touch = Callable[[Path], object]
 
 # Processor seconds for a file, and for each of its megabytes; and a wall clock of some times as much.
 SECONDS, SECONDS_PER_MB, PATIENCE = 1.9, 0.05, 4

@@ -17,6 +17,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over, modal_assurance
 from labpipe.errors import DataError
+from labpipe.raw_files.text_table import check_filled
 
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
 TIME, FRF, COHERENCE = 1, 4, 6
@@ -141,11 +142,9 @@ def _decode(line: bytes) -> str:
 
 def open_uff(path: Path) -> mmap.mmap:
     """The bytes of a file, mapped; DataError when it is empty."""
+    check_filled(path)
     with path.open("rb") as stream:
-        try:
-            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError:
-            raise DataError("the file is empty", path) from None
+        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def read_uff(path: Path) -> tuple[UffRecord, ...]:
@@ -168,22 +167,19 @@ def records_55(path: Path) -> list[list[str]]:
     shapes: list[list[str]] = []
     with open_uff(path) as buffer:
         lines = _Lines(path, buffer)
-        while (line := lines.next()) is not None:
-            if line.strip() != "-1":
-                continue
-            kind, begin = lines.take(1)[0].strip(), lines.position
+        for kind in _kinds(lines):
+            begin = lines.position
             if kind.startswith("58"):
                 return []
-            _to_end(lines, kind)
-            if kind == "55":
-                text = _decode(buffer[begin : lines.position])
-                shapes.append([row for row in text.splitlines() if row.strip() not in ("", "-1")])
+            if kind.strip() == "55":
+                mark = lines.mark()
+                text = _decode(buffer[begin : mark.start() if mark else begin])
+                shapes.append([row for row in text.splitlines() if row.strip()])
     return shapes
 
 
-def _records(lines: _Lines) -> Iterator[UffRecord]:
-    scale: UffScale | None = None
-    number = 0
+def _kinds(lines: _Lines) -> Iterator[str]:
+    """The first line of each record, behind which *lines* stand then; they may be moved on within it."""
     while (line := lines.next()) is not None:
         if not line.strip(" \t\r\0\x1a"):
             continue
@@ -191,19 +187,22 @@ def _records(lines: _Lines) -> Iterator[UffRecord]:
             what = f"is not a universal file: '-1' is required, not '{line.strip()[:30]!s}'"
             raise DataError(what, lines.path)
         kind = lines.take(1)[0]
+        yield kind
+        mark = lines.mark()
+        if mark is None:
+            raise DataError(f"the record {kind.strip()[:6]} has no end", lines.path, "the file is truncated")
+        lines.position = mark.end() + 1
+
+
+def _records(lines: _Lines) -> Iterator[UffRecord]:
+    scale: UffScale | None = None
+    number = 0
+    for kind in _kinds(lines):
         if kind[:6].strip() == "58":
             number += 1
             yield _record(lines, kind, number, scale)
         elif kind.strip() == "164":
             scale = _scale(lines)
-        _to_end(lines, kind)
-
-
-def _to_end(lines: _Lines, kind: str) -> None:
-    mark = lines.mark()
-    if mark is None:
-        raise DataError(f"the record {kind.strip()[:6]} has no end", lines.path, "the file is truncated")
-    lines.position = mark.end() + 1
 
 
 def _scale(lines: _Lines) -> UffScale:

@@ -30,7 +30,7 @@ _FORCES = (9, 13)
 # Data types that leave open what was measured: unknown, general.
 _OPEN = (0, 1)
 _SAME = 1e-4
-AXES = ("", "x", "y", "z", "rx", "ry", "rz")
+AXES = ("", *uff.AXES)
 # Relative tolerance between the frequency axes of records, which are printed with six digits.
 _SAME_AXIS = 1e-5
 Key = tuple[str, int, int]
@@ -38,7 +38,6 @@ CHUNK_ROWS = 1 << 17
 # The time step is printed with six digits: rates are rounded to a whole number of hertz within this relative
 # tolerance.
 _STEP_DIGITS = 1e-5
-_DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 
 
 Stated = tuple[str, float | None]
@@ -249,7 +248,7 @@ def channel_name(record: uff.UffRecord) -> str:
     """
     point = record.response
     sign = "-" if point.direction < 0 else "+"
-    dof = f"{point.node}{sign}{_DIRECTIONS[abs(point.direction)]}" if point.direction else str(point.node)
+    dof = f"{point.node}{sign}{AXES[abs(point.direction)].upper()}" if point.direction else str(point.node)
     names = (point.name, dof if point.node else "", record.ordinate.label, record.title, str(record.number))
     return next(filter(None, names))
 

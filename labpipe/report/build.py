@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
+from itertools import chain
 from typing import Any
 
 from labpipe.display import amount_text, count_text, per_cent
@@ -119,7 +120,7 @@ def _signature_warnings(identification: Identification) -> tuple[Block, ...]:
     reason.
     """
     serious: dict[str, list[str]] = {}
-    for origin, finding in (*_list_fit_findings(identification), *_list_section_findings(identification)):
+    for origin, finding in _list_findings(identification):
         if finding.code in SERIOUS:
             serious.setdefault(origin, []).append(finding.code)
     if not serious:
@@ -128,18 +129,14 @@ def _signature_warnings(identification: Identification) -> tuple[Block, ...]:
     return (Paragraph(f"Read the warnings before using: {_listing(named, '; ')}.", "warning"),)
 
 
-def _list_fit_findings(identification: Identification) -> list[tuple[str, Finding]]:
-    return [(fit_title(fit), finding) for fit in identification.fits for finding in fit.findings]
-
-
 def _fits_with(code: str, identification: Identification) -> list[str]:
-    return [origin for origin, finding in _list_fit_findings(identification) if finding.code == code]
+    return [fit_title(fit) for fit in identification.fits for found in fit.findings if found.code == code]
 
 
-def _list_section_findings(identification: Identification) -> list[tuple[str, Finding]]:
-    return [
-        pair for name, record in identification.sections.items() for pair in section(name).findings(record)
-    ]
+def _list_findings(identification: Identification) -> list[tuple[str, Finding]]:
+    of_sections = (section(name).findings(record) for name, record in identification.sections.items())
+    of_fits = ((fit_title(fit), finding) for fit in identification.fits for finding in fit.findings)
+    return [*of_fits, *chain.from_iterable(of_sections)]
 
 
 def _by_code(identification: Identification, level: str) -> dict[str, list[tuple[str, Finding]]]:
@@ -149,11 +146,7 @@ def _by_code(identification: Identification, level: str) -> dict[str, list[tuple
         for finding in response.findings
     ]
     codes: dict[str, list[tuple[str, Finding]]] = {}
-    for origin, finding in (
-        *measured,
-        *_list_fit_findings(identification),
-        *_list_section_findings(identification),
-    ):
+    for origin, finding in (*measured, *_list_findings(identification)):
         if finding.level == level:
             codes.setdefault(finding.code, []).append((origin, finding))
     return codes

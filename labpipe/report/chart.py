@@ -80,6 +80,10 @@ class Series:
             raise ValueError(f"series '{self.name}': both ends of its interval must be as long as its values")
 
 
+def _series(kind: str, name: str, x: ArrayLike, y: ArrayLike, **look: Any) -> Series:
+    return Series(kind, name, x=np.asarray(x, float), y=np.asarray(y, float), **look)
+
+
 def curve(
     name: str,
     x: ArrayLike,
@@ -98,21 +102,9 @@ def curve(
     *opacity*) or as bars. *look*: width, hollow and entry of a series.
     """
     low, high = band or bars or (None, None)
-    return Series(
-        "line",
-        name,
-        x=np.asarray(x, float),
-        y=np.asarray(y, float),
-        colour=colour,
-        interval="shaded" if band else "bar" if bars else "",
-        line=line,
-        marker=marker,
-        size=size if marker else 0.0,
-        opacity=opacity,
-        low=None if low is None else np.asarray(low, float),
-        high=None if high is None else np.asarray(high, float),
-        **look,
-    )
+    look |= {"low": low, "high": high, "interval": "shaded" if band else "bar" if bars else ""}
+    look |= {"line": line, "marker": marker, "size": size if marker else 0.0, "opacity": opacity}
+    return _series("line", name, x, y, colour=colour, **look)
 
 
 def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str = ".", **look: Any) -> Series:
@@ -122,7 +114,7 @@ def dots(name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, *, marker: str 
 
 def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, name: str = "") -> Series:
     """A line across the panel at *y*; its name, if any, is written at its end."""
-    return Series("hline", name, x=np.empty(0), y=np.array([y]), colour=colour, line=line, width=width)
+    return _series("hline", name, (), [y], colour=colour, line=line, width=width)
 
 
 # The lines of a control chart, in words.
@@ -136,63 +128,39 @@ def control_lines(centre: float, low: float, high: float) -> tuple[Series, ...]:
 
 def upright(x: float, colour: int = GREY, line: str = "-", *, width: float = 0.8) -> Series:
     """A line from the foot of the panel to its head at *x*."""
-    return Series("vline", "", x=np.array([x]), y=np.empty(0), colour=colour, line=line, width=width)
+    return _series("vline", "", [x], (), colour=colour, line=line, width=width)
 
 
 def span(low: float, high: float, colour: int, opacity: float = 0.15) -> Series:
     """A shade across the panel between two values."""
-    return Series("hspan", "", x=np.empty(0), y=np.array([low, high]), colour=colour, opacity=opacity)
+    return _series("hspan", "", (), [low, high], colour=colour, opacity=opacity)
 
 
 def outline(
     name: str, x: ArrayLike, y: ArrayLike, colour: int = 0, opacity: float = 0.15, *, width: float = 0.0
 ) -> Series:
     """The shaded inside of a closed path (n,), which itself is drawn in grey where it has a *width* [pt]."""
-    return Series(
-        "area",
-        name,
-        x=np.asarray(x, float),
-        y=np.asarray(y, float),
-        colour=colour,
-        opacity=opacity,
-        width=width,
-    )
+    return _series("area", name, x, y, colour=colour, opacity=opacity, width=width)
 
 
 def cells(values: ArrayLike, texts: Sequence[Sequence[str]], name: str = "") -> Series:
     """A matrix (n_row, n_column) of values between -1 and 1, which *name* says, as colours with a text in
     each; row 0 is above.
     """
-    matrix = np.asarray(values, float)
-    return Series(
-        "cells",
-        name,
-        x=np.arange(matrix.shape[1], dtype=float),
-        y=matrix,
-        colour=INK,
-        texts=tuple(tuple(row) for row in texts),
-    )
+    n_column = np.shape(values)[1]
+    return _series("cells", name, range(n_column), values, colour=INK, texts=tuple(map(tuple, texts)))
 
 
 def arrow(tail: ArrayLike, head: ArrayLike, colour: int) -> Series:
     """An arrow from one point (2,) to another, for the sense of a motion."""
-    across, along = np.array([tail, head], float).T
-    return Series("arrow", "", x=across, y=along, colour=colour)
+    return _series("arrow", "", *np.transpose([tail, head]), colour=colour)
 
 
 def labels(
     x: ArrayLike, y: ArrayLike, texts: Sequence[str], colour: int = INK, *, size: float = 8.0
 ) -> Series:
     """Words (n,) in letters of *size* [pt] with their middle at points (n,)."""
-    return Series(
-        "text",
-        "",
-        x=np.asarray(x, float),
-        y=np.asarray(y, float),
-        colour=colour,
-        size=size,
-        texts=(tuple(texts),),
-    )
+    return _series("text", "", x, y, colour=colour, size=size, texts=(tuple(texts),))
 
 
 def look(number: int) -> tuple[int, str]:

@@ -122,7 +122,6 @@ HEADER = (
     "coefficient", "unit", "tests", "median", "scatter", "median std. error", "least", "in test", "largest",
     "in test",
 )  # fmt: skip
-CHART = "Individuals (Shewhart) chart, mean ∓ 3 × mean moving range / 1.128"
 
 
 def many_tests_document(identification: Identification, tests: ManyTests) -> Document:
@@ -253,10 +252,11 @@ def _blocks(columns: TestColumns) -> tuple[Block, ...]:
         return (Paragraph(f"{count_text(n, 'value')}; figures need {FEWEST}.", "note"),)
     limits = control_limits(columns.values[there])
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
-    which = "No value lies outside"
+    which = "no value lies outside"
     if outside:
         which = f"{len(outside)} of {n} values lie outside: {few(outside, MOST_OUTSIDE)}"
-    control = f"{CHART}: {which}. The limits suppose that all tests are of one condition."
+    formula = limits.formula[0].upper() + limits.formula[1:]
+    control = f"{formula}; {which}. The limits suppose that all tests are of one condition."
     differing = (
         name
         for name, (_, amounts) in columns.amounts.items()

@@ -14,7 +14,13 @@ from scipy.io import savemat
 from scipy.sparse import eye_array
 
 from labpipe.errors import DataError
-from labpipe.raw_files.mat import load_hdf5_variables, read_frf_mat, write_frf_mat, write_recording_mat
+from labpipe.raw_files.mat import (
+    load_hdf5_variables,
+    load_variables,
+    read_frf_mat,
+    write_frf_mat,
+    write_recording_mat,
+)
 from labpipe.raw_files.table import open_table
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
@@ -282,24 +288,33 @@ def test_damaged_bytes_end_in_one_message_or_in_numbers(tmp_path: Path, rng, com
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "fragment"),
+    ("place", "value", "refused"),
     [
-        (127, ord("X"), "damaged or cut off"),
-        (128, 9, "is not a variable"),
-        (132, 0xFF, "damaged or cut off"),
-        (136, 5, "has no flags"),
-        (144, 99, "has no flags"),
-        (145, 8, "lacks"),
-        (152, 6, "has no size"),
+        (127, ord("X"), True),
+        (128, 9, True),
+        (132, 0xFF, False),
+        (136, 5, False),
+        (144, 99, True),
+        (145, 8, True),
+        (145, 0xFF, True),
+        (152, 6, False),
+        (176, 0, True),
+        (177, 0xFF, True),
     ],
 )
-def test_elements_that_do_not_fit(tmp_path: Path, place: int, value: int, fragment: str) -> None:
-    savemat(tmp_path / "r.mat", {"x": np.ones(60)})
+def test_elements_that_do_not_fit(tmp_path: Path, place: int, value: int, refused: bool) -> None:
+    """By bytes 145, 176 and 177, the class and the type of the numbers, scipy's reader ends by a segmentation
+    fault; where only a header is damaged, the numbers are those that were written.
+    """
+    savemat(tmp_path / "r.mat", {"x": np.ones(60), "s": {"a": np.ones(9)}})
     content = bytearray((tmp_path / "r.mat").read_bytes())
     content[place] = value
     (tmp_path / "r.mat").write_bytes(content)
-    with pytest.raises(DataError, match=fragment):
-        open_table(tmp_path / "r.mat")
+    if refused:
+        with pytest.raises(DataError, match="is not a readable MATLAB file"):
+            open_table(tmp_path / "r.mat")
+    else:
+        np.testing.assert_array_equal(load_variables(tmp_path / "r.mat")["x"].ravel(), np.ones(60))
 
 
 def test_attributes_beside_a_rate_and_in_lists(tmp_path: Path) -> None:
