@@ -420,7 +420,7 @@ class RelaxingMount:
         return (-square * np.array(slopes[: len(self.names)]))[:, :, None, None]
 
     def start(self, measured: Measured) -> FloatArray:
-        """The parameters (n_parameter,) [parameter units] of least squares of 1 / H, for the best of times."""
+        """The parameters (n_parameter,) [parameter units] of least squares of 1 / H by the best time."""
         omega, h = measured.omega, measured.matrix[:, 0, 0]
         assert measured.variance is not None
         deviation = np.sqrt(measured.variance[:, 0])
