@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.display import amount_text
 from labpipe.distributions import chi2_tail
 from labpipe.errors import ConfigError, FitError
 from labpipe.estimation.damping import HYSTERETIC, FactorModel, damp
 from labpipe.estimation.descent import Linearisation, SquareSum, linearise_problem, minimise
 from labpipe.estimation.diagnostics import MISMATCH_P
-from labpipe.estimation.likelihood import maximum_likelihood
+from labpipe.estimation.likelihood import maximum_likelihood, maximum_likelihood_from
 from labpipe.estimation.measured import Measured
+from labpipe.estimation.mismatch import RELAXES
 from labpipe.estimation.model import DynamicModel, Setup
 from labpipe.estimation.settings import VISCOUS, FitSettings
-from labpipe.estimation.statistics import Estimate
+from labpipe.estimation.statistics import Estimate, restate, stack
 from labpipe.estimation.weights import has_noise, weight_uncertainty, whiten_values, whitener
-from labpipe.records.finding import Finding
+from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
 
@@ -371,3 +373,121 @@ def _test(candidate: Candidate, richer: list[Candidate]) -> Candidate:
     richest = max(richer, key=lambda other: other.parameters)
     gained, added = candidate.chi2 - richest.chi2, richest.parameters - candidate.parameters
     return replace(candidate, p_value=chi2_tail(gained, added)) if added > 0 else candidate
+
+
+# Relaxation times that a search begins from, to the band's ends and as far beyond as this factor.
+N_TIME, BEYOND = 13, 3.0
+
+
+@dataclass(frozen=True)
+class RelaxingMount:
+    """H(w) = 1 / (k + j w c + k_r s / (1 + s) - w^2 m), s = j w tau: a mass on a mount whose stiffness rises
+    from k to k + k_r with frequency, and dissipates on the way (Zener's three-parameter solid; Nashif, Jones
+    and Henderson, Vibration Damping, 1985, ch. 2), beside a damper. Parameters: k [N/m], c [N.s/m], k_r
+    [N/m], tau [s], and m [kg] where *mass* is None. Equation (est-relaxing).
+    """
+
+    mass: float | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return ("k", "c", "k_r", "tau", *(() if self.mass is not None else ("m",)))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        return ("N/m", "N.s/m", "N/m", "s", *(() if self.mass is not None else ("kg",)))
+
+    def mass_of(self, parameters: FloatArray) -> float:
+        """The mass [kg], given or among *parameters* (n_parameter,) [parameter units]."""
+        return float(parameters[4]) if self.mass is None else self.mass
+
+    def stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """K(w) [N/m], (n_line,)."""
+        k, c, rise, tau = parameters[:4]
+        s = 1j * omega * tau
+        return np.asarray(k + 1j * omega * c + rise * s / (1 + s))
+
+    def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """H(w) [m/N], (n_line, 1, 1)."""
+        z = self.stiffness(parameters, omega) - self.mass_of(parameters) * omega**2
+        return (1 / z)[:, None, None]
+
+    def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
+        """dH/dp, (n_parameter, n_line, 1, 1) [m/N per parameter unit]."""
+        turned, (rise, tau) = 1j * omega, parameters[2:4]
+        below = 1 + turned * tau
+        slopes = [np.ones_like(below), turned, turned * tau / below, rise * turned / below**2, turned**2]
+        square = self.receptance(parameters, omega)[:, 0, 0] ** 2
+        return (-square * np.array(slopes[: len(self.names)]))[:, :, None, None]
+
+    def start(self, measured: Measured) -> FloatArray:
+        """The parameters (n_parameter,) [parameter units] of least squares of 1 / H by the best time."""
+        omega, h = measured.omega, measured.matrix[:, 0, 0]
+        assert measured.variance is not None
+        deviation = np.sqrt(measured.variance[:, 0])
+        weights = np.abs(h) ** 2 / deviation
+        side = h.conj() / deviation + (self.mass or 0.0) * weights * omega**2
+        found = []
+        for tau in 1 / np.geomspace(omega[omega > 0][0] / BEYOND, BEYOND * omega[-1], N_TIME):
+            s = 1j * omega * tau
+            columns = np.array([np.ones_like(s), 1j * omega, s / (1 + s), (1j * omega) ** 2])
+            rows, whole = stack(weights * columns[: len(self.names) - 1]), stack(side)
+            values, squares, *_ = np.linalg.lstsq(rows.T, whole)
+            found.append((float(np.sum(squares)), [*values[:3], tau, *values[3:]]))
+        return np.array(min(found)[1])
+
+    def at_resonance(self, parameters: FloatArray) -> FloatArray:
+        """Stiffness k [N/m], damping c [N.s/m], f_n [Hz] and zeta [1] where Re K(w) = m w^2, (4,)."""
+        mass, omega = self.mass_of(parameters), np.zeros(1)
+        for _ in range(RESONANCE_STEPS):
+            omega = np.sqrt(np.abs(self.stiffness(parameters, omega).real) / mass)
+        k, w = complex(self.stiffness(parameters, omega)[0]), float(omega[0])
+        return np.array([k.real, k.imag / w, w / (2 * np.pi), k.imag / (2 * k.real)])
+
+
+RESONANCE_STEPS = 60
+
+
+def relaxing_mount(
+    measured: Measured, mass: float | None, chi2: float
+) -> tuple[str, dict[str, FloatArray], float] | None:
+    """What a mount that relaxes is in words, k, c, f_n and zeta (2,) [SI] at resonance with their standard
+    errors, and its chi-square: where it leaves noise, or LITTLE of the *chi2* per degree of freedom of the
+    viscous fit; else None.
+    """
+    model = RelaxingMount(mass)
+    if measured.variance is None or not np.all(measured.variance > 0):
+        return None
+    try:
+        estimate = maximum_likelihood_from(measured, model, model.start(measured), "")
+    except (FitError, np.linalg.LinAlgError):
+        return None
+    values, left, chance = estimate.values, estimate.gof.chi2_reduced, estimate.gof.chi2_p
+    if not (estimate.converged and np.all(values[[0, 2, 3]] > 0)) or left is None or chance is None:
+        return None
+    if chance < MISMATCH_P and left > LITTLE * chi2:
+        return None
+    steps = np.linalg.cholesky(estimate.covariance).T
+    moved = [model.at_resonance(values + step) - model.at_resonance(values - step) for step in steps]
+    pairs = np.column_stack([model.at_resonance(values), np.linalg.norm(moved, axis=0) / 2])
+    rest, far = (amount_text(values[0] + part, None, "N/m") for part in (0.0, values[2]))
+    words = f"stiffness that rises with frequency, as of rubber: {rest} at rest, {far} far above "
+    words += f"{1 / (2 * np.pi * values[3]):.3g} Hz {RELAXES}"
+    return words, dict(zip(("k", "c", "f_n", "zeta"), pairs, strict=True)), left * estimate.dof
+
+
+def hold_values(parameters: tuple[Parameter, ...], values: dict[str, FloatArray]) -> tuple[Parameter, ...]:
+    """The parameters with intervals that hold *values* of another law as well, by name (2,) [unit of the
+    parameter] with its standard error, where that alone leaves noise.
+    """
+    widened = []
+    for p in parameters:
+        if p.name in values and p.ci95 is not None and p.interval is not None:
+            value, error = values[p.name].tolist()
+            low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
+            full = (high - low) / (2 * NORMAL)
+            excess = float(np.sqrt(max(full**2 - p.interval.noise**2, 0.0)))
+            parts = replace(p.interval, discrepancy=excess)
+            p = restate(p, p.value, full, (low, high), interval=parts)
+        widened.append(p)
+    return tuple(widened)

@@ -21,7 +21,7 @@ from labpipe.estimation.budget import (
     sources_of,
     with_contributions,
 )
-from labpipe.estimation.comparison import candidates, comparison_findings
+from labpipe.estimation.comparison import candidates, comparison_findings, hold_values, relaxing_mount
 from labpipe.estimation.damping import HYSTERETIC, damp
 from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected_model
@@ -34,10 +34,10 @@ from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
 from labpipe.estimation.repeated import mean_over_repeats
 from labpipe.estimation.settings import VISCOUS, FitSettings, check_kind
-from labpipe.estimation.statistics import Estimate, Stated, restate, student_limit
+from labpipe.estimation.statistics import Estimate, Stated, student_limit
 from labpipe.estimation.transfer_mode import DrivingMode, TransferMode, place_notes, transfer_of
 from labpipe.estimation.weights import fit_weights, has_noise, weighted_by_model
-from labpipe.records.finding import NORMAL, Finding, Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import Candidate, Fit, FittedCurve
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import ESTIMATE
@@ -281,14 +281,14 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     has_error = judgement.model_error is not None
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
-    if law and has_error:
-        parameters = _hold_law(parameters, setup, measured)
-    most = LIKELIER * compared_models[0].chi2 if law else np.inf
-    faults = _find_faults(case, judged, most) if judging else {}
+    other = _other_law(case, estimate, law, compared_models) if has_error else None
+    law, values, left = other or ("", {}, np.inf)
+    parameters = hold_values(parameters, values)
+    faults = _find_faults(case, judged, LIKELIER * left) if judging else {}
     cause = next((fault for fault in faults if fault), law)
     if cause and judgement.by_cause is not None:
         judgement = replace(judgement, findings=judgement.by_cause(cause))
-        reason = cause.removeprefix("a ")
+        reason = cause.removeprefix("a ").partition(",")[0]
         parameters = tuple(replace(p, reason=reason) if p.reason else p for p in parameters)
     budgeted = _with_budget(case, parameters, fitted, judged.factors)
     notes = (*notes, *budgeted.notes, *diagnostics.motion_notes(measured), *place_notes(setup))
@@ -330,9 +330,27 @@ def _compare_variants(
     return compared, notes, HYSTERETIC.name + LAW if law_explains else ""
 
 
-def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measured) -> tuple[Parameter, ...]:
-    """The parameters with intervals that hold those of hysteretic damping as well, where that alone leaves
-    noise: of c and zeta what dissipates as much at the resonance.
+def _other_law(
+    case: Case, estimate: Estimate, law: str, compared: Sequence[Candidate]
+) -> tuple[str, dict[str, FloatArray], float] | None:
+    """The *law* of damping that explains the residual, the first of those *compared*, its values by name and
+    its chi-square. Without one, the mount that relaxes with frequency, as of `relaxing_mount`, where that
+    explains what a viscous fit of k and c, of known mass or with m, leaves over the noise; else None.
+    """
+    if law:
+        return law, _values_of_law(case.setup, case.measured), compared[0].chi2
+    settings, chi2 = case.setup.settings, estimate.gof.chi2_reduced
+    suits = settings.kind.one_frf and settings.damping == VISCOUS and settings.sliding is None
+    is_plain = case.model.names in (("k", "c"), ("k", "c", "m")) and not derived.is_corrected(settings)
+    if chi2 is None or not (suits and is_plain) or not settings.estimates.likelihood or settings.fixed:
+        return None
+    mass = None if settings.mass == ESTIMATE else float(settings.mass)  # type: ignore[arg-type]
+    return relaxing_mount(case.measured, mass, chi2)
+
+
+def _values_of_law(setup: Setup, measured: Measured) -> dict[str, FloatArray]:
+    """Values of hysteretic damping with their standard errors (2,) by name; of c and zeta what dissipates as
+    much at the resonance.
     """
     hysteretic = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
     model = _model(hysteretic)
@@ -341,17 +359,7 @@ def _hold_law(parameters: tuple[Parameter, ...], setup: Setup, measured: Measure
     if {"k", "eta", "f_n"} <= values.keys():
         values["zeta"] = values["eta"] / 2
         values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
-    widened = []
-    for p in parameters:
-        if p.name in values and p.ci95 is not None and p.interval is not None:
-            value, error = values[p.name].tolist()
-            low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
-            held_error = (high - low) / (2 * NORMAL)
-            excess = float(np.sqrt(max(held_error**2 - p.interval.noise**2, 0.0)))
-            parts = replace(p.interval, discrepancy=excess)
-            p = restate(p, p.value, held_error, (low, high), interval=parts)
-        widened.append(p)
-    return tuple(widened)
+    return values
 
 
 # Times the chi-square of another law of damping up to which a delay is as likely.

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import optimize
 
+from labpipe.estimation.comparison import RelaxingMount
 from labpipe.estimation.damping import HYSTERETIC, DampingLaw, Factor
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.model import Setup
@@ -161,6 +163,40 @@ def test_modes_have_the_loss_factor_and_the_modal_mass_of_the_structure() -> Non
     assert fit.parameter("m_1").value == pytest.approx(
         min(masses, key=lambda m: abs(m - fit.parameter("m_1").value)), rel=5e-3
     )
+
+
+@pytest.mark.parametrize(("damper", "mass"), [(0.0, M), (20.0, M), (0.0, "estimate")])
+def test_a_mount_that_relaxes_is_named_and_its_stiffness_at_resonance_held(damper: float, mass: Any) -> None:
+    """Zener's solid, 70 kN/m at rest and 95 far above 30 Hz: Re K(w_n) = m w_n^2 by bisection."""
+    frequency = np.arange(20.0, 60.0, 0.5)
+
+    def stiffness(f: Any) -> Any:
+        return 70e3 + 2j * np.pi * f * damper + 25e3 * (1j * f / 30) / (1 + 1j * f / 30)
+
+    h = (1 / (stiffness(frequency) - 2.0 * (2 * np.pi * frequency) ** 2))[:, None, None]
+    response = with_noise(
+        frequency, h, (DOFS[0],), (FORCES[0],), 2e-3 * np.max(np.abs(h)), np.random.default_rng(5)
+    )
+    (fit,) = identify(response, FitSettings("sdof", mass=2.0 if mass == M else mass))
+    (message,) = (finding.message for finding in fit.findings if finding.code == "model-mismatch")
+    assert "most likely stiffness that rises with frequency, as of rubber: " in message
+    assert message.endswith("Fit `sliding` bands, each with its own k and c")
+    f_n = optimize.brentq(lambda f: stiffness(f).real - 2.0 * (2 * np.pi * f) ** 2, 20.0, 60.0)
+    k, c = stiffness(f_n).real, stiffness(f_n).imag / (2 * np.pi * f_n)
+    for name, value in {"k": k, "c": c, "f_n": f_n, "zeta": stiffness(f_n).imag / (2 * k)}.items():
+        low, high = fit.parameter(name).ci95
+        assert low < value < high, name
+    assert fit.parameter("k").reason == "stiffness that rises with frequency"
+
+
+@pytest.mark.parametrize("mass", [2.0, None])
+def test_slopes_of_a_mount_that_relaxes_are_central_differences(mass: float | None) -> None:
+    model, omega = RelaxingMount(mass), np.array([50.0, 200.0, 400.0])
+    start = np.array([70e3, 20.0, 25e3, 0.005, 2.0])[: len(model.names)]
+    jacobian = model.jacobian(start, omega)
+    for number, step in enumerate(1e-5 * np.diag(start)):
+        difference = model.receptance(start + step, omega) - model.receptance(start - step, omega)
+        np.testing.assert_allclose(jacobian[number], difference / (2 * step[number]), rtol=1e-6, atol=1e-15)
 
 
 def test_slopes_are_central_differences() -> None:

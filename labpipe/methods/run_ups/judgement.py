@@ -39,7 +39,7 @@ STEADY = 0.2
 # square. Standard uncertainties.
 LATE, WIDER, LOWER = 0.1, 0.2, 0.3
 # Times that a mode is fitted and that what its readings are behind is found anew.
-PASSES = 4
+PASSES = 6
 
 
 @dataclass(frozen=True)
@@ -361,13 +361,17 @@ def _fit_one_mode(
     middle = middle + behind
     left = (middle - scale * fit(middle, x)) / deviation[near]
     # Four complex coefficients.
-    chi2 = float(np.sum(np.abs(left) ** 2)) / (2 * near.sum() - 8)
+    dof = 2 * int(near.sum()) - 8
+    chi2 = float(np.sum(np.abs(left) ** 2)) / dof
     if chi2 > FITS:
         return None
-    size = deviation[near] * np.sqrt(max(chi2, 1.0))
+    # Within a stretch a motion that changes counts as noise: what the readings scatter by is less, and
+    # Student's t.
+    size = deviation[near] * np.sqrt(chi2)
     critical = []
     for number, shift in enumerate(shifts):
-        noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size)) if number else 0.0
+        noise = size * (rng.standard_normal(x.size) + 1j * rng.standard_normal(x.size))
+        noise = noise * np.sqrt(dof / rng.chisquare(dof)) if number else 0.0 * noise
         amplitude = turned * np.abs(fit(readings[near] - shift + behind + noise, place))
         critical.append(_peak(fine, amplitude, 0, POINTS - 1))
     return None if critical[0] is None else (critical[0], [peak for peak in critical[1:] if peak is not None])
@@ -385,14 +389,26 @@ def _lag(curve: ComplexArray, speed: FloatArray, rate: float, peak: Critical) ->
     turned = np.arctan(peak.speed**2 * (peak.low**-2 - peak.high**-2) / 2)
     zeta, resonance = np.sin(turned / 2), 2 * np.pi * peak.speed * np.sqrt(np.cos(turned))
     stiffness = resonance**2 - omega**2 + 2j * zeta * resonance * omega
-    behind = np.zeros_like(curve)
+    if not acceleration:
+        return np.zeros_like(curve)
+    # In time: dA/dt = decay (driven - A), all but d2A/dt2, which the passes add.
+    way = slice(None, None, 1 if rate > 0 else -1)
+    inertia = 2 * (1j * omega + zeta * resonance)
+    decay = (stiffness + 1j * acceleration) / inertia
+    force, moving = stiffness * curve * (1 - 1j * acceleration / omega**2), curve
+    step = np.abs(np.diff(omega[way]) / acceleration)
+    along = (decay[way][1:] + decay[way][:-1]) / 2 * step
+    kept = np.exp(-along)
     for _ in range(PASSES):
-        moving = curve - behind
-        first = acceleration * np.gradient(moving, omega)
-        second = acceleration * np.gradient(first, omega)
-        turning = 1j * acceleration * (moving + stiffness * curve / omega**2)
-        behind = (turning + 2 * (1j * omega + zeta * resonance) * first + second) / stiffness
-    return behind
+        second = acceleration**2 * np.gradient(np.gradient(moving, omega), omega)
+        driven = ((force - second) / (decay * inertia))[way]
+        change = np.diff(driven)
+        added = change - change * (1 - kept) / along
+        lag = [-change[0] / along[0]]
+        for share, up, more in zip(kept, change, added, strict=True):
+            lag.append(share * lag[-1] + more - up)
+        moving = (driven + np.array(lag))[way]
+    return curve - moving
 
 
 def _passing_rate(peak: Critical, speed: FloatArray, rate: FloatArray) -> tuple[float, float]:

@@ -161,6 +161,22 @@ def test_the_amplitude_of_a_peak_that_is_passed_fast_holds_that_of_a_steady_roto
     assert peak.amplitude.high - peak.amplitude.low < 0.05 * height
 
 
+@pytest.mark.parametrize("zeta", [0.02, 0.04])
+@pytest.mark.parametrize("quotient", [-0.18, 0.15, 0.18])
+def test_one_mode_fits_a_peak_that_is_passed_fast(zeta: float, quotient: float) -> None:
+    """Readings whose stated errors are four times those they have, as of stretches in which the motion
+    changes: intervals within 1.5 % of the amplification factor and .03 % of the speed, and right to half.
+    """
+    steady, _, amplification = half_power(zeta)
+    rate = quotient * (steady / amplification) ** 2
+    speed, amplitude = passed(zeta, rate)
+    run = track(amplitude, speed=speed, rate=rate)
+    (peak,) = judge(replace(run, variance=16 * run.variance), slow_roll=(10.0, 14.0)).peaks
+    for stated, true, within in ((peak.speed, steady, 3e-4), (peak.amplification, amplification, 0.015)):
+        assert stated.value == pytest.approx(true, rel=within / 2)
+        assert stated.high - stated.low < within * true
+
+
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_a_strongly_damped_mode_is_told_by_its_own_frequency_and_damping(sign: int) -> None:
     """At a damping ratio of .12 the peak stands 1.5 % beyond the natural frequency, and .5 / AF is 6 % more
