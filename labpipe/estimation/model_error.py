@@ -38,7 +38,7 @@ APART = "not the same from point to point: what moves loads the structure"
 UNLOADED = "without the mass that moves: from its course over the square of the shape"
 # Share from which a cause is named beside the first one.
 NAMED = 0.25
-# Ends of a logarithm that are farther apart, by a factor of a million, leave a parameter without an interval.
+# Logarithm of a factor between its ends from which an interval tells nothing.
 WIDEST = float(np.log(1e6))
 
 

@@ -466,7 +466,7 @@ def _report(
     p_noise = 1.0 if exact else whole.p_noise
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, p_noise))
     errors: dict[int, ModelError] = {}
-    apart = [references for references in moved if isinstance(references, MovedReferences)]
+    apart = [mode for mode in moved if isinstance(mode, MovedReferences)]
     both = [mode for mode in moved if isinstance(mode, MovedMode)]
     modes, instead = ([mode for mode in both if bool(mode.instead) is is_one] for is_one in (False, True))
     moving = settings.model_settings.moving_mass is not None
@@ -558,8 +558,8 @@ def _with_window(fit: Fit, refined: Refined, lines: FrfLines) -> Fit:
     narrow = {number: float(width) for number, width in enumerate(widths, 1) if width < LEAST_LINES}
     if not narrow:
         return fit
-    frequencies = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
-    places = ", ".join(f"{frequencies[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
+    values = {number: fit.parameter(f"f_n_{number}").value for number in narrow}
+    places = ", ".join(f"{values[number]:.6g} Hz ({width:.2g})" for number, width in narrow.items())
     message = (
         f"half-power widths of {LEAST_LINES:g} lines or less: {places}. The window of the analyser, and how "
         "much leaked, decide such a peak: its damping, and whether a second mode seems to stand beside it. "

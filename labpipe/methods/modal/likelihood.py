@@ -39,8 +39,7 @@ class FrfLines:
     leakage: of random data, where it is known. shared: variance of a sum over the lines over that of
     independent ones [1]. adds_terms: whether more residual terms than one for modes below and one for
     modes above are tried. beside (n,) [rad/s]: poles of modes just beyond the band, whose residues every
-    element has for itself. correlation (n,) [1]: of the noise of a line with the next ones, as `whiteness`
-    takes it.
+    element has for itself. correlation (n,) [1]: that of `whiteness`.
     """
 
     omega: FloatArray

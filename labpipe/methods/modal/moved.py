@@ -76,9 +76,13 @@ class MovedMode:
 
     @property
     def _is_seen(self) -> BoolArray:
-        size = np.linalg.norm(self.residues, axis=1)
         near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
-        return (size > HARDLY * np.max(size)) & near & (self.poles.real < 0)
+        return (self._share > HARDLY) & near & (self.poles.real < 0)
+
+    @property
+    def _share(self) -> FloatArray:
+        size = np.linalg.norm(self.residues, axis=1)
+        return np.asarray(size / np.max(size))
 
     def align(self, s: ComplexArray) -> ComplexArray:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
@@ -93,8 +97,7 @@ class MovedMode:
         """Ends of ln f_n and ln zeta of another point, mean +- t s sqrt(1 + 1/n) of those that show it; none
         of fewer than three.
         """
-        size = np.linalg.norm(self.residues, axis=1)
-        shown = (size > SHOWS * np.max(size)) & self._is_seen
+        shown = (self._share > SHOWS) & self._is_seen
         if np.count_nonzero(shown) < FEWEST_POINTS:
             return ()
         poles = self.poles[shown]
@@ -113,8 +116,7 @@ class MovedMode:
     @property
     def finding(self) -> Finding:
         """A note that it is one mode, and between which frequencies it lies."""
-        size = np.linalg.norm(self.residues, axis=1)
-        frequencies = np.abs(self.poles[size > SHOWS * np.max(size)]) / (2 * np.pi)
+        frequencies = np.abs(self.poles[self._share > SHOWS]) / (2 * np.pi)
         message = (
             f"the poles around {abs(self.pole) / (2 * np.pi):.6g} Hz are one mode, whose frequency lies "
             f"between {frequencies.min():.6g} and {frequencies.max():.6g} Hz from point to point: what moves "
@@ -213,9 +215,8 @@ def moved_references(done: Completed) -> tuple[MovedReferences, Completed] | Non
         return None
     logs = np.log(np.abs(poles))
     variance = lines.shared * np.array([np.diag(fit.covariance)[1 : 2 * start.size : 2] for fit in alone])
-    weights = np.abs(poles) ** 2 / variance
     # A mode counts as its worst reference tells it.
-    weights = np.min(weights, axis=0)
+    weights = np.min(np.abs(poles) ** 2 / variance, axis=0)
     away = logs - np.mean(logs, axis=0)
     shifts = np.average(away, axis=1, weights=weights)
     scatter = np.sqrt(np.average((away - shifts[:, None]) ** 2, axis=1, weights=weights) / (start.size - 1))
@@ -230,7 +231,7 @@ def moved_references(done: Completed) -> tuple[MovedReferences, Completed] | Non
     again, terms = refine_with_terms(lines, np.exp(np.mean(np.log(poles), axis=0)), participation)
     again, terms, _ = kept_modes(again, terms)
     aligned = complete(again, terms, adding=True)
-    # A close pair is no single pole at any reference.
+    # A pair is no single pole at any reference.
     if criterion(aligned.refined, aligned.terms) > criterion(refined, done.terms):
         return None
     return apart, aligned
@@ -330,19 +331,17 @@ def _move(done: Completed, chain: list[int]) -> list[tuple[list[int], MovedMode]
 
 
 def _fit_alone(done: Completed, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
-    """Lines s (n_line,) [rad/s] around the *chain*, and their receptance without what the fit of all makes of
-    other modes and of conjugate poles, and where it leaves noise of the residual terms: these reach across a
-    broad mode, but hold parts of peaks that it does not follow.
+    """Lines s (n_line,) [rad/s] around the *chain*, and their receptance without other modes, conjugate poles
+    and, where the fit of all leaves noise, residual terms: these reach across a broad mode, but hold parts of
+    peaks that it does not follow.
     """
     refined, lines = done.refined, done.terms.lines
     poles = refined.poles[chain]
     reach = BESIDE * float(np.median(-2 * poles.real))
-    low, high = poles.imag.min() - reach, poles.imag.max() + reach
-    near = np.delete(refined.poles.imag, chain)
-    below, above = near[near < poles.imag.min()], near[near > poles.imag.max()]
+    near, first, last = np.delete(refined.poles.imag, chain), poles.imag.min(), poles.imag.max()
     # Cut halfway to the neighbours.
-    low = max(low, (below.max() + poles.imag.min()) / 2) if below.size else low
-    high = min(high, (above.min() + poles.imag.max()) / 2) if above.size else high
+    low = max(first - reach, (near[near < first].max(initial=-np.inf) + first) / 2)
+    high = min(last + reach, (near[near > last].min(initial=np.inf) + last) / 2)
     chosen = (lines.omega >= low) & (lines.omega <= high)
     s = lines.s[chosen]
     residues = np.einsum("om,mi->moi", refined.shapes, refined.participation)

@@ -495,9 +495,8 @@ def complete(refined: Refined, terms: ResidualTerms, *, adding: bool) -> Complet
 
 
 def _is_missing(more: Completed, before: Completed) -> bool:
-    """Whether *more* modes halve the squares that the FRFs have left, in the geometric mean, or the logarithm
-    of their probability as noise, and none lies within a half-power width of another, where it may stand for
-    what that one's peak is otherwise.
+    """Whether *more* modes halve the squares that are left, in the geometric mean, or the logarithm of their
+    probability as noise, and each is a half-power width from all others, whose peaks it may follow else.
     """
     apart, n_before = _overlap(more.refined)[0], more.refined.poles.size - more.added
     fall = before.refined.information - more.refined.information
@@ -507,9 +506,8 @@ def _is_missing(more: Completed, before: Completed) -> bool:
 
 
 def _with_mode_beside(done: Completed, end: int) -> Completed | None:
-    """One mode more just beyond the first or last line (*end* 0 or -1), whose peak's flank no power of s
-    follows: its pole and those beside already are refined with all others, and are residual terms then. One
-    that comes to lie in the band is a mode of it.
+    """One mode more just beyond the first or last line (*end* 0 or -1), whose flank no power of s follows:
+    all poles are refined together, and those beyond are residual terms then, those in the band its modes.
     """
     lines, refined, side = done.terms.lines, done.refined, 1 if end else -1
     decay, residual = float(np.median(-refined.poles.real)), remaining(done.terms, refined)
