@@ -38,6 +38,8 @@ APART = "not the same from point to point: what moves loads the structure"
 UNLOADED = "without the mass that moves: from its course over the square of the shape"
 # Share from which a cause is named beside the first one.
 NAMED = 0.25
+# Logarithm of a factor between its ends from which an interval tells nothing.
+WIDEST = float(np.log(1e6))
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,8 @@ class ModelError:
             first = self.unloaded or apart[2] - apart[1] > high - low
             centre, reason = (apart[0], self.likely) if first else (centre, reason)
             low, high = apart[1:] if self.unloaded else (min(low, apart[1]), max(high, apart[2]))
+        if row.log and not high - low < WIDEST:
+            return replace(parameter, ci95=None, significant=None, t_ratio=None)
         noise = float(np.sqrt(row.row @ self.mixture.noise @ row.row))
         if row.log:
             # The sign of the fit: coefficients of a sensor of the wrong sign are negative together.

@@ -31,7 +31,7 @@ from labpipe.estimation.settings import VISCOUS, FitSettings
 from labpipe.estimation.statistics import determination
 from labpipe.estimation.weights import NOISE_FREE, has_noise, whitener
 from labpipe.methods.modal import model_error, poles as lscf
-from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine_one_step
+from labpipe.methods.modal.likelihood import FrfLines, Refined, ResidualTerms, refine, refine_one_step
 from labpipe.methods.modal.moved import (
     FEWEST_POINTS,
     Moved,
@@ -186,7 +186,7 @@ def modal_notes(
         (True, f"residual terms of every FRF: {residual}, {chosen}"),
         (estimate.unused, f"the measured covariance is not used: {estimate.unused}"),
         (estimate.chi2_reduced is None, without_test),
-        (beside, f"{beside}, beyond the band, has a residual term of its own: its flank reaches into it"),
+        (beside, f"{beside}, beyond the band: residual terms of their own, since a flank reaches into it"),
         (whole.added, f"{added}, since the residual was not noise, or terms stood for them"),
         (n_reference == 1, SINGLE),
         (forces_move, TURNED),
@@ -247,6 +247,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
         adds_terms=not settings.residuals,
+        # Lines that the band leaves out in its middle are no neighbours, which that of a window would need.
+        correlation=response.line_correlation,
     )
     points, references = sides.measured.outputs, sides.measured.inputs
     if modal.moving_mass is not None and len(points) <= FEWEST_POINTS:
@@ -257,19 +259,17 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     diagram, start = _first_modes(sides.lines, modal)
     refined, terms = lscf.refine_with_terms(sides.lines, start.values, start.participation)
     refined, terms, dropped = lscf.kept_modes(refined, terms)
-    # Lines beside a gap in the band are no neighbours, which the correlation of a window would need.
-    correlation = response.line_correlation
-    whole = lscf.complete(refined, terms, correlation, adding=not modal.poles)
-    sides = replace(sides, lines=whole.terms.lines)
-    sides, whole, moved, loaded = _move_to_mean_poles(sides, whole, correlation, modal)
+    whole = lscf.complete(refined, terms, adding=not modal.poles)
+    sides, whole, moved, loaded = _move_to_mean_poles(sides, whole, modal)
     if real := modal.shapes == "real":
-        whole = lscf.with_real_modes(whole, correlation)
+        refined = refine(whole.terms, whole.refined.poles, whole.refined.participation, real=True)
+        whole = replace(whole, refined=refined)
     terms = whole.terms
     estimate = covariance_fit(sides.measured, terms, whole.refined, real=real)
     beyond = align_measured(_beyond(response, rows, columns, band, sides, estimate.refined), moved)
     fit = _report(settings, band, sides, whole, estimate, beyond, moved)
     fit = with_sources(fit, _sources(settings, sides, terms, estimate))
-    if not (has_noise(sides.measured) or correlation):
+    if not (has_noise(sides.measured) or sides.lines.correlation):
         fit = _with_window(fit, estimate.refined, sides.lines)
     polynomials = _polynomial_findings(sides.measured, estimate.refined)
     beside = (*loaded, *diagnostics.quality_findings(response, rows, columns, chosen), *polynomials)
@@ -288,21 +288,33 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 
+def _diagram_record(lines: FrfLines, diagram: lscf.Diagram) -> StabilisationDiagram:
+    poles = diagram.poles
+    return StabilisationDiagram(
+        np.abs(poles.values) / (2 * np.pi),
+        lscf.damping_ratio(poles.values),
+        poles.orders,
+        diagram.group,
+        indicator_frequency=lines.omega / (2 * np.pi),
+        indicator=np.linalg.svd(lines.matrix, compute_uv=False),
+    )
+
+
 def _move_to_mean_poles(
-    sides: _Sides, whole: lscf.Completed, correlation: tuple[complex, ...], modal: ModalSettings
+    sides: _Sides, whole: lscf.Completed, modal: ModalSettings
 ) -> tuple[_Sides, lscf.Completed, Moved, tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
-    moving, lines = modal.moving_mass is not None, sides.lines
     apart: tuple[MovedReferences, ...] = ()
-    if (aligned := moved_references(lines, whole, correlation)) is not None:
-        references, lines, whole = aligned
-        apart = (references,)
-    lines, whole, modes, findings = add_moved_modes(lines, whole, correlation, moving=moving)
+    if (aligned := moved_references(whole)) is not None:
+        apart, whole = aligned[:1], aligned[1]
+    moving = modal.moving_mass is not None
+    whole, modes, findings = add_moved_modes(whole, moving=moving)
     moved: Moved = (*apart, *modes)
     names = [port.label for port in sides.measured.inputs]
     findings = (*(each.finding(names) for each in apart), *findings)
-    return replace(sides, lines=lines, measured=align_measured(sides.measured, moved)), whole, moved, findings
+    measured = align_measured(sides.measured, moved)
+    return replace(sides, lines=whole.terms.lines, measured=measured), whole, moved, findings
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
@@ -318,14 +330,14 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     return True
 
 
-def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool, adds_terms: bool) -> _Sides:
+def _sides(measured: Measured, form: str, *, by_force: bool, **of_lines: Any) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turn(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     weight = _weight(turned, factor)
-    shared, power = measured.shared_noise, DERIVATIVES[form]
-    lines = FrfLines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared, adds_terms)
+    of_lines |= {"leakage": measured.leakage, "shared": measured.shared_noise}
+    lines = FrfLines(measured.omega, matrix, DERIVATIVES[form], weight, **of_lines)
     return _Sides(turned, lines, forces_move, by_force)
 
 
@@ -464,10 +476,9 @@ def _report(
     p_noise = 1.0 if exact else whole.p_noise
     misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, p_noise))
     errors: dict[int, ModelError] = {}
-    apart = [references for references in moved if isinstance(references, MovedReferences)]
-    modes = [mode for mode in moved if isinstance(mode, MovedMode)]
-    instead = [mode for mode in modes if mode.instead]
-    modes = [mode for mode in modes if not mode.instead]
+    apart = [mode for mode in moved if isinstance(mode, MovedReferences)]
+    both = [mode for mode in moved if isinstance(mode, MovedMode)]
+    modes, instead = ([mode for mode in both if bool(mode.instead) is is_one] for is_one in (False, True))
     moving = settings.model_settings.moving_mass is not None
     shown = misfit or bool(modes) or moving
     # The mass that moves is taken off the points alone.
@@ -510,18 +521,6 @@ def _report(
         iterations=refined.steps,
         findings=(*modal_findings(estimate, p_noise, named), *loaded, *mass_findings(parameters)),
         notes=modal_notes(estimate, whole, len(measured.inputs), sides.forces_move),
-    )
-
-
-def _diagram_record(lines: FrfLines, diagram: lscf.Diagram) -> StabilisationDiagram:
-    poles = diagram.poles
-    return StabilisationDiagram(
-        np.abs(poles.values) / (2 * np.pi),
-        lscf.damping_ratio(poles.values),
-        poles.orders,
-        diagram.group,
-        indicator_frequency=lines.omega / (2 * np.pi),
-        indicator=np.linalg.svd(lines.matrix, compute_uv=False),
     )
 
 

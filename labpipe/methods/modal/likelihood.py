@@ -39,7 +39,7 @@ class FrfLines:
     leakage: of random data, where it is known. shared: variance of a sum over the lines over that of
     independent ones [1]. adds_terms: whether more residual terms than one for modes below and one for
     modes above are tried. beside (n,) [rad/s]: poles of modes just beyond the band, whose residues every
-    element has for itself.
+    element has for itself. correlation (n,) [1]: that of `whiteness`.
     """
 
     omega: FloatArray
@@ -51,6 +51,7 @@ class FrfLines:
     shared: float = 1.0
     adds_terms: bool = True
     beside: tuple[complex, ...] = ()
+    correlation: tuple[complex, ...] = ()
 
     @property
     def s(self) -> ComplexArray:
@@ -237,6 +238,11 @@ class _State:
         even, sums = np.ones(terms.lines.matrix.shape[1:]), _sums(terms, poles)
         return cls(terms, sums, poles, participation, even, real).with_noise().with_noise()
 
+    @classmethod
+    def of(cls, terms: ResidualTerms, refined: Refined, real: bool) -> _State:
+        state = cls.at(terms, refined.poles, refined.participation, real)
+        return replace(state, variance=refined.noise)
+
     def with_noise(self) -> _State:
         # Complex lines less the complex parameters that an element has for itself.
         n_per_element = self.terms.count + self.n_mode / self.participation.shape[1] / (2 if self.real else 1)
@@ -337,8 +343,7 @@ class _State:
 
 def refine_one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
     """The refined modes one step of Gauss-Newton on, for the FRFs of *terms*; *real*: as in refine."""
-    state = _State.at(terms, refined.poles, refined.participation, real)
-    state = replace(state, variance=refined.noise)
+    state = _State.of(terms, refined, real)
     return (state.after(state.step()[0]) or state).result(True, 1)
 
 
@@ -394,8 +399,7 @@ def refine_lines(terms: ResidualTerms, refined: Refined, *, real: bool = False) 
     = (N - sum_o S_o^T (I - H_o)^-1 S_o)^-1 sum_o S_o^T (I - H_o)^-1 r_o. *real*: as in refine.
     """
     lines, n_line = terms.lines, terms.lines.omega.size
-    state = _State.at(terms, refined.poles, refined.participation, real)
-    state = replace(state, variance=refined.noise)
+    state = _State.of(terms, refined, real)
     normal, _, inverse, eliminated, psi = state._schur()
     functions, residual = terms.remove_from(_functions(lines, refined.poles)), remaining(terms, refined)
     of_psi, by_theta = _shape_columns(refined.participation), state.theta_columns(psi)

@@ -159,20 +159,15 @@ def modal_parameters(
         parameters += [_value(refined, mode, place, n, function, dof) for function in functions]
     if not refined.converged:
         return tuple(replace(parameter, std_error=None, ci95=None) for parameter in parameters)
-    if inflation is None:
-        return tuple(parameters)
-    return tuple(widen(parameter, inflation) for parameter in parameters)
+    return tuple(widen(parameter, inflation) if inflation else parameter for parameter in parameters)
 
 
 def strongest_points(refined: Refined, driving: Sequence[DrivingPoint]) -> tuple[DrivingPoint, ...]:
     """For every mode, ascending, the driving point with its largest residue; none without driving points."""
     if not driving:
         return ()
-
-    def size(place: DrivingPoint, mode: int) -> float:
-        return float(abs(refined.shapes[place.output, mode] * refined.participation[mode, place.input]))
-
-    return tuple(max(driving, key=lambda place: size(place, mode)) for mode in ascending(refined))
+    sizes = [np.abs(refined.shapes[of.output] * refined.participation[:, of.input]) for of in driving]
+    return tuple(driving[n] for n in np.argmax(sizes, axis=0)[ascending(refined)])
 
 
 def frequency_correlation(refined: Refined) -> FloatArray:
@@ -241,7 +236,7 @@ def _gradient(function: Function, x: FloatArray) -> FloatArray:
 
 
 def ascending(refined: Refined) -> list[int]:
-    return sorted(range(refined.poles.size), key=lambda mode: float(abs(refined.poles[mode])))
+    return [int(mode) for mode in np.argsort(np.abs(refined.poles))]
 
 
 # Half-power widths of a mode's band on either side, its least number of lines, and widths within which

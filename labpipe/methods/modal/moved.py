@@ -19,15 +19,8 @@ from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import (
-    FrfLines,
-    Refined,
-    leaking_functions,
-    pole_functions,
-    remaining,
-    whiteness,
-)
-from labpipe.methods.modal.poles import Completed, complete, kept_modes, refine_with_terms
+from labpipe.methods.modal.likelihood import Refined, leaking_functions, pole_functions, remaining
+from labpipe.methods.modal.poles import Completed, complete, criterion, kept_modes, refine_with_terms
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -84,9 +77,13 @@ class MovedMode:
 
     @property
     def _is_seen(self) -> BoolArray:
-        size = np.linalg.norm(self.residues, axis=1)
         near = np.abs(self.poles - self.pole) < FARTHEST * -2 * self.pole.real
-        return (size > HARDLY * np.max(size)) & near & (self.poles.real < 0)
+        return (self._share > HARDLY) & near & (self.poles.real < 0)
+
+    @property
+    def _share(self) -> FloatArray:
+        size = np.linalg.norm(self.residues, axis=1)
+        return np.asarray(size / np.max(size))
 
     def align(self, s: ComplexArray) -> ComplexArray:
         """What takes every point from its own pole to the mean one, (n_line, n_point, n_reference) [unit of
@@ -101,8 +98,7 @@ class MovedMode:
         """Ends of ln f_n and ln zeta of another point, mean +- t s sqrt(1 + 1/n) of those that show it; none
         of fewer than three.
         """
-        size = np.linalg.norm(self.residues, axis=1)
-        shown = (size > SHOWS * np.max(size)) & self._is_seen
+        shown = (self._share > SHOWS) & self._is_seen
         if np.count_nonzero(shown) < FEWEST_POINTS:
             return ()
         poles = self.poles[shown]
@@ -121,8 +117,7 @@ class MovedMode:
     @property
     def finding(self) -> Finding:
         """A note that it is one mode, and between which frequencies it lies."""
-        size = np.linalg.norm(self.residues, axis=1)
-        frequencies = np.abs(self.poles[size > SHOWS * np.max(size)]) / (2 * np.pi)
+        frequencies = np.abs(self.poles[self._share > SHOWS]) / (2 * np.pi)
         message = (
             f"the poles around {abs(self.pole) / (2 * np.pi):.6g} Hz are one mode, whose frequency lies "
             f"between {frequencies.min():.6g} and {frequencies.max():.6g} Hz from point to point: what moves "
@@ -198,16 +193,15 @@ class MovedReferences:
 Moved = tuple[MovedMode | MovedReferences, ...]
 
 
-def moved_references(
-    lines: FrfLines, done: Completed, correlation: tuple[complex, ...]
-) -> tuple[MovedReferences, FrfLines, Completed] | None:
-    """How references differ in frequency where they do so alike in all modes, the FRFs at their mean and
-    the modes of these; None where a residual of single poles is noise, or the references do not differ.
+def moved_references(done: Completed) -> tuple[MovedReferences, Completed] | None:
+    """How references differ in frequency where they do so alike in all modes, and the modes of the FRFs at
+    their mean; None where a residual of single poles is noise, or the references do not differ.
 
     Every reference is fitted by itself; ln f_n over the mean of the references, weighted over the modes by
     its noise, differs from 0 by Student's t of the scatter between modes. Equation (modal-references).
     """
-    refined, n_reference = done.refined, lines.matrix.shape[2]
+    refined, lines = done.refined, done.terms.lines
+    n_reference = lines.matrix.shape[2]
     chains = _chains(refined)
     if n_reference < 2 or len(chains) < FEWEST_POINTS:
         return None
@@ -222,9 +216,8 @@ def moved_references(
         return None
     logs = np.log(np.abs(poles))
     variance = lines.shared * np.array([np.diag(fit.covariance)[1 : 2 * start.size : 2] for fit in alone])
-    weights = np.abs(poles) ** 2 / variance
     # A mode counts as its worst reference tells it.
-    weights = np.min(weights, axis=0)
+    weights = np.min(np.abs(poles) ** 2 / variance, axis=0)
     away = logs - np.mean(logs, axis=0)
     shifts = np.average(away, axis=1, weights=weights)
     scatter = np.sqrt(np.average((away - shifts[:, None]) ** 2, axis=1, weights=weights) / (start.size - 1))
@@ -238,7 +231,11 @@ def moved_references(
     participation = np.linalg.svd(residues.transpose(2, 1, 0), full_matrices=False)[2][:, 0]
     again, terms = refine_with_terms(lines, np.exp(np.mean(np.log(poles), axis=0)), participation)
     again, terms, _ = kept_modes(again, terms)
-    return apart, lines, complete(again, terms, correlation, adding=True)
+    aligned = complete(again, terms, adding=True)
+    # A pair is no single pole at any reference.
+    if criterion(aligned.refined, aligned.terms) > criterion(refined, done.terms):
+        return None
+    return apart, aligned
 
 
 def alignment(omega: FloatArray, leakage: Leakage | None, moved: Moved) -> ComplexArray | float:
@@ -262,9 +259,9 @@ def align_measured(measured: Measured, moved: Moved) -> Measured:
 
 
 def add_moved_modes(
-    lines: FrfLines, done: Completed, correlation: tuple[complex, ...], *, moving: bool
-) -> tuple[FrfLines, Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
-    """The FRFs with every point moved to the mean pole of its mode, their modes, how these moved, and notes
+    done: Completed, *, moving: bool
+) -> tuple[Completed, tuple[MovedMode, ...], tuple[Finding, ...]]:
+    """The modes of the FRFs with every point moved to the mean pole of its mode, how these moved, and notes
     on poles that are one; as they are where none does. Modes that may stand *instead* of several poles come
     with how these moved, but nothing is moved by them.
 
@@ -273,18 +270,18 @@ def add_moved_modes(
     leaves the others or is broad, or where both are alike at the references and nearer than a half-power
     width. What moves one mode moves all; *moving*: it is known that something does. Equation (modal-moved).
     """
-    refined = done.refined
+    refined, lines = done.refined, done.terms.lines
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
-        return lines, done, (), ()
-    judged = [pair for chain in _chains(refined) for pair in _move(lines, refined, chain)]
+        return done, (), ()
+    judged = [pair for chain in _chains(refined) for pair in _move(done, chain)]
     merging = [(chain, mode) for chain, mode in judged if not mode.instead]
     undecided = tuple(mode for _, mode in judged if mode.instead)
     if not merging and not (moving and done.p_noise < MISMATCH_P):
-        return lines, done, undecided, ()
+        return done, undecided, ()
     findings = tuple(mode.finding for _, mode in merging)
     merged = {number for chain, _ in merging for number in chain}
     for number in set(range(refined.poles.size)) - merged:
-        s, frfs = _fit_alone(lines, refined, [number])
+        s, frfs = _fit_alone(done, [number])
         if s.size >= FEWEST_LINES:
             merging.append(([number], _fit_by_points(s, frfs, refined.poles[[number]])[0]))
             merged.add(number)
@@ -293,14 +290,12 @@ def add_moved_modes(
     poles = np.concatenate([refined.poles[rest], [mode.pole for mode in moved]])
     participation = np.vstack([refined.participation[rest], [mode.reference for mode in moved]])
     change = alignment(lines.omega, None, moved) * (lines.s**lines.power)[:, None, None]
-    plain, lines = lines, replace(lines, matrix=lines.matrix + change)
+    lines = replace(lines, matrix=lines.matrix + change)
     again, terms = refine_with_terms(lines, poles, participation)
     frequency = np.abs(again.poles)
     if not again.converged or frequency.min() < lines.omega[0] or frequency.max() > lines.omega[-1]:
-        return plain, done, undecided, ()
-    p_noise = whiteness(remaining(terms, again), correlation)
-    done = replace(done, refined=again, terms=terms, p_noise=p_noise)
-    return lines, done, (*moved, *undecided), findings
+        return done, undecided, ()
+    return replace(done, refined=again, terms=terms), (*moved, *undecided), findings
 
 
 def _chains(refined: Refined) -> list[list[int]]:
@@ -319,39 +314,47 @@ def _chains(refined: Refined) -> list[list[int]]:
     return chains
 
 
-def _move(lines: FrfLines, refined: Refined, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
+def _move(done: Completed, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
-    s, frfs = _fit_alone(lines, refined, chain)
+    s, frfs = _fit_alone(done, chain)
     if s.size < FEWEST_LINES:
         return []
-    mode = _fit_one_mode(s, frfs, refined.poles[chain])
+    mode = _fit_one_mode(s, frfs, done.refined.poles[chain])
     if mode is not None and not mode.instead:
         return [(chain, mode)]
     middle = len(chain) // 2
     return [
         *([] if mode is None else [(chain, mode)]),
-        *_move(lines, refined, chain[:middle]),
-        *_move(lines, refined, chain[middle:]),
+        *_move(done, chain[:middle]),
+        *_move(done, chain[middle:]),
     ]
 
 
-def _fit_alone(lines: FrfLines, refined: Refined, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
+def _fit_alone(done: Completed, chain: list[int]) -> tuple[ComplexArray, ComplexArray]:
+    """Lines s (n_line,) [rad/s] around the *chain*, and their receptance without other modes, conjugate poles
+    and, where the fit of all leaves noise, residual terms: these reach across a broad mode, but hold parts of
+    peaks that it does not follow.
+    """
+    refined, lines = done.refined, done.terms.lines
     poles = refined.poles[chain]
     reach = BESIDE * float(np.median(-2 * poles.real))
-    low, high = poles.imag.min() - reach, poles.imag.max() + reach
-    others = np.setdiff1d(np.arange(refined.poles.size), chain)
-    near = refined.poles.imag[others]
-    below, above = near[near < poles.imag.min()], near[near > poles.imag.max()]
+    near, first, last = np.delete(refined.poles.imag, chain), poles.imag.min(), poles.imag.max()
     # Cut halfway to the neighbours.
-    low = max(low, (below.max() + poles.imag.min()) / 2) if below.size else low
-    high = min(high, (above.min() + poles.imag.max()) / 2) if above.size else high
+    low = max(first - reach, (near[near < first].max(initial=-np.inf) + first) / 2)
+    high = min(last + reach, (near[near > last].min(initial=np.inf) + last) / 2)
     chosen = (lines.omega >= low) & (lines.omega <= high)
     s = lines.s[chosen]
-    residues = np.einsum("om,mi->moi", refined.shapes[:, others], refined.participation[others])
-    (a, b), _ = pole_functions(s, refined.poles[others], hysteretic=False)
-    frfs = lines.matrix[chosen] / (s**lines.power)[:, None, None]
-    return s, frfs - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
+    residues = np.einsum("om,mi->moi", refined.shapes, refined.participation)
+    (a, b), _ = pole_functions(s, refined.poles, hysteretic=False)
+    factor = (s**lines.power)[:, None, None]
+    if done.p_noise >= MISMATCH_P:
+        left = remaining(done.terms, refined)[chosen] / (factor * lines.weight[chosen, None, None])
+    else:
+        left = (
+            lines.matrix[chosen] / factor - np.tensordot(a, residues, 1) - np.tensordot(b, residues.conj(), 1)
+        )
+    return s, left + np.tensordot(a[:, chain], residues[chain], 1)
 
 
 def _solve(s: ComplexArray, frfs: ComplexArray, poles: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -426,9 +429,10 @@ def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> M
     n_line, n_point, n_reference = frfs.shape
     moved, squares = _fit_by_points(s, frfs, chain)
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
-    # What moves acts on the references in one proportion at all points, modes on one place do not.
+    # What moves acts on the references in one proportion at all points, modes on one place do not; one
+    # reference is in proportion, but for rounding.
     apart = 2 * n_line * float(np.sum(np.log(_squares_in_proportion(s, frfs, moved)) - np.log(squares)))
-    if apart > np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1):
+    if n_reference > 1 and apart > np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1):
         return None
 
     def compare(poles: ComplexArray) -> tuple[float, ComplexArray, ComplexArray]:

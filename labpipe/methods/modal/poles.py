@@ -10,6 +10,7 @@ contribute.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -370,9 +371,8 @@ def criterion(refined: Refined, terms: ResidualTerms) -> float:
 
 
 MOST_ADDED = 4
-# Modes beyond the edges of the band that are looked for, one for each in most cases, and of how many sets of
-# modes in it.
-MOST_BESIDE, MOST_MISSING = 2, 2
+# Modes beyond the edges of the band that are looked for, one for each in most cases.
+MOST_BESIDE = 2
 # Least decrease of AIC that a mode is added for (Burnham and Anderson 2002, sec. 2.6).
 SUPPORT = 10.0
 # Least decay rate as part of the distance of the lines: a sharper peak is the noise of one line.
@@ -384,20 +384,22 @@ BROADEST = 0.5
 DISTINCT, ALIKE_MODES = 0.25, 0.9
 # Distance in decay rates, a half-power width, within which poles that are not seen may hide each other.
 OVERLAP = 2.0
-# Probability by noise alone, anywhere in the band, below which a mode counts as seen.
+# Probability by noise alone, anywhere in the band, below which a mode, or a misfit, counts as seen.
 SEEN_P = 1e-3
 
 
 @dataclass(frozen=True)
 class Completed:
-    """Refined modes with the terms of their residual, the probability of that residual as noise, and the
-    number of modes added.
-    """
+    """Refined modes with the terms of their residual, and the number of modes added."""
 
     refined: Refined
     terms: ResidualTerms
-    p_noise: float
     added: int = 0
+
+    @cached_property
+    def p_noise(self) -> float:
+        """Probability [1] of the residual as noise."""
+        return whiteness(remaining(self.terms, self.refined), self.terms.lines.correlation)
 
 
 def kept_modes(refined: Refined, terms: ResidualTerms) -> tuple[Refined, ResidualTerms, tuple[str, ...]]:
@@ -465,85 +467,70 @@ def _places(lines: FrfLines, refined: Refined) -> FloatArray:
     return np.maximum((lines.omega[-1] - lines.omega[0]) / widths, 1.0)
 
 
-def complete(
-    refined: Refined, terms: ResidualTerms, correlation: tuple[complex, ...], *, adding: bool
-) -> Completed:
+def complete(refined: Refined, terms: ResidualTerms, *, adding: bool) -> Completed:
     """The modes and, where *adding*, those that the residual asks for, or that AIC supports in the place of
-    residual terms, one at a time.
+    residual terms, one at a time: in the band, or just beyond it.
 
-    They are kept only if the residual then is noise.
+    Where what is left is no noise, they are kept where they stand by themselves and explain most of it.
     """
-    first = done = Completed(refined, terms, whiteness(remaining(terms, refined), correlation))
-    chain = [first]
-    while adding and done.added < MOST_ADDED:
-        # Many terms follow a mode in the band as well, and leave noise.
-        now, least = done.refined, ResidualTerms(terms.lines, 1, 1)
-        tried = []
-        if done.p_noise < MISMATCH_P:
-            tried += [_with_one_more(done, now, done.terms, correlation)]
-        if done.terms.count > least.count:
+    kept = done = Completed(refined, terms)
+    while adding:
+        # Many terms follow a mode in the band, or the flank of one beyond it, and leave noise.
+        now, least = done.refined, ResidualTerms(done.terms.lines, 1, 1)
+        spare, misfit, tried = done.terms.count > least.count, done.p_noise < MISMATCH_P, []
+        if done.added < MOST_ADDED and misfit:
+            tried += [_with_one_more(done, now, done.terms)]
+        if done.added < MOST_ADDED and spare:
             plain = refine(least, now.poles, now.participation)
-            tried += [_with_one_more(done, plain, least, correlation)]
+            tried += [_with_one_more(done, plain, least)]
+        if len(least.lines.beside) < MOST_BESIDE and (spare or misfit):
+            tried += [_with_mode_beside(done, end) for end in (0, -1)]
         supported = [more for more in tried if more is not None]
         if not supported:
             break
         done = min(supported, key=lambda more: criterion(more.refined, more.terms))
-        chain.append(done)
-    pole, ends = done.refined.poles[-1], terms.lines.omega[[0, -1]]
-    at_edge = done.added > 0 and np.min(np.abs(abs(pole) - ends)) < -2 * pole.real
-    if adding and (at_edge or done.p_noise < MISMATCH_P):
-        # A mode that is missing hides one beyond the band, whose flank looks like a mode at its edge.
-        searched = (_with_modes_beside(of, correlation) for of in chain[:MOST_MISSING])
-        beside = next((of for of in searched if of.p_noise >= MISMATCH_P), first)
-        noise = [of for of in (done, beside) if of.p_noise >= MISMATCH_P]
-        done = min(noise, key=lambda of: criterion(of.refined, of.terms), default=first)
-    return done
+        if max(done.p_noise, kept.p_noise) >= SEEN_P or _is_missing(done, kept):
+            kept = done
+    return kept
 
 
-def _with_modes_beside(first: Completed, correlation: tuple[complex, ...]) -> Completed:
-    """The modes beside those just beyond the band that leave a peak's flank in it, which no power of s
-    follows: their poles are refined with all others, and are residual terms then.
+def _is_missing(more: Completed, before: Completed) -> bool:
+    """Whether *more* modes halve the squares that are left, in the geometric mean, or the logarithm of their
+    probability as noise, and each is a half-power width from all others, whose peaks it may follow else.
     """
-    done = first
-    for number in range(MOST_BESIDE):
-        if number and done.p_noise >= MISMATCH_P:
-            break
-        lines, refined = done.terms.lines, done.refined
-        decay, residual = float(np.median(-refined.poles.real)), remaining(done.terms, refined)
-        tried = []
-        for end, side in ((0, -1), (-1, 1)):
-            edge = residual[:: side * -1][: max(3, round(2 * decay / lines.spacing))] / np.sqrt(refined.noise)
-            participation = np.linalg.svd(edge.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
-            pole = -decay + 1j * (lines.omega[end] + side * decay)
-            terms = ResidualTerms(lines, 1, 1)
-            both = np.append(refined.poles, pole), np.vstack([refined.participation, participation])
-            again = refine(terms, *both)
-            frequency = np.abs(again.poles)
-            beyond = side * (frequency[-1] - lines.omega[end]) > 0
-            if not (again.converged and beyond and np.all(_standing(lines, again)[0][:-1])):
-                continue
-            others = replace(lines, beside=(*lines.beside, complex(again.poles[-1])))
-            more, terms = refine_with_terms(others, again.poles[:-1], again.participation[:-1])
-            if more.converged and criterion(more, terms) < criterion(refined, done.terms) - SUPPORT:
-                p_noise = whiteness(remaining(terms, more), correlation)
-                tried.append(replace(done, refined=more, terms=terms, p_noise=p_noise))
-        if not tried:
-            break
-        done = min(tried, key=lambda more: criterion(more.refined, more.terms))
-    return done
+    apart, n_before = _overlap(more.refined)[0], more.refined.poles.size - more.added
+    fall = before.refined.information - more.refined.information
+    chances = np.log(np.maximum([more.p_noise, before.p_noise], np.finfo(float).tiny))
+    most = fall > 2 * before.terms.lines.matrix.size * np.log(2) or chances[0] > chances[1] / 2
+    return bool(most and np.all(np.sum(apart < OVERLAP, axis=1)[n_before:] == 1))
 
 
-def with_real_modes(done: Completed, correlation: tuple[complex, ...]) -> Completed:
-    """The same modes with real shapes and participation, and the probability of the residual that they leave
-    as noise.
+def _with_mode_beside(done: Completed, end: int) -> Completed | None:
+    """One mode more just beyond the first or last line (*end* 0 or -1), whose flank no power of s follows:
+    all poles are refined together, and those beyond are residual terms then, those in the band its modes.
     """
-    refined = refine(done.terms, done.refined.poles, done.refined.participation, real=True)
-    return replace(done, refined=refined, p_noise=whiteness(remaining(done.terms, refined), correlation))
+    lines, refined, side = done.terms.lines, done.refined, 1 if end else -1
+    decay, residual = float(np.median(-refined.poles.real)), remaining(done.terms, refined)
+    edge = residual[::-side][: max(3, round(2 * decay / lines.spacing))]
+    participation = _main_participation(edge, refined)
+    beside = np.array([*lines.beside, -decay + 1j * (lines.omega[end] + side * decay)])
+    both = (
+        np.append(refined.poles, beside),
+        np.vstack([refined.participation, *[participation] * beside.size]),
+    )
+    again = refine(ResidualTerms(replace(lines, beside=()), 1, 1), *both)
+    inside, narrow, seen = _standing(lines, again)
+    n_more = np.count_nonzero(inside) - refined.poles.size
+    if not again.converged or n_more < 0 or np.all(inside) or not np.all((narrow & seen)[inside]):
+        return None
+    others = replace(lines, beside=tuple(again.poles[~inside].tolist()))
+    more, terms = refine_with_terms(others, again.poles[inside], again.participation[inside])
+    if not more.converged or criterion(more, terms) > criterion(refined, done.terms) - SUPPORT * lines.shared:
+        return None
+    return Completed(more, terms, done.added + int(n_more))
 
 
-def _with_one_more(
-    done: Completed, refined: Refined, before: ResidualTerms, correlation: tuple[complex, ...]
-) -> Completed | None:
+def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> Completed | None:
     lines, residual = before.lines, remaining(before, refined)
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
@@ -557,10 +544,9 @@ def _with_one_more(
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
     width = max(3, n_wide)
-    part = residual[max(0, line - width) : line + width + 1] / np.sqrt(refined.noise)
-    participation = np.linalg.svd(part.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
-    poles = np.append(refined.poles, pole)
-    again, terms = refine_with_terms(lines, poles, np.vstack([refined.participation, participation]))
+    participation = _main_participation(residual[max(0, line - width) : line + width + 1], refined)
+    both = np.append(refined.poles, pole), np.vstack([refined.participation, participation])
+    again, terms = refine_with_terms(lines, *both)
     inside, narrow, seen = _standing(lines, again)
     if before is not done.terms:
         # Noise draws terms as well: the mode must pay against the fewest, wherever noise may peak.
@@ -568,22 +554,27 @@ def _with_one_more(
         fall = criterion(refined, before) - criterion(again, terms) + 2 * n_real
         chance = chi2_tail(max(fall, 0.0) / lines.shared, n_real) * _places(lines, again)[-1]
         seen[-1] |= chance < SEEN_P
-    sound = again.converged and _distinct(again) and np.all(inside & narrow & seen)
-    if not sound or criterion(again, terms) > criterion(done.refined, done.terms) - SUPPORT:
+    pole, most = again.poles[-1], criterion(done.refined, done.terms)
+    if np.min(np.abs(abs(pole) - lines.omega[[0, -1]])) < -2 * pole.real:
+        # The flank of a mode beyond would be as good, whose residues every element has for itself.
+        most -= 4 * (2 * residual[0].size - sum(residual.shape[1:]))
+    # R / (s - lambda - d_o) with d_o of the points looks like two poles close to lambda.
+    apart, alike = (of[-1] for of in _overlap(again))
+    distinct = np.count_nonzero((apart < DISTINCT) & alike) == 1
+    sound = again.converged and distinct and np.all(inside & narrow & seen)
+    if not sound or criterion(again, terms) > most - SUPPORT:
         return None
     # A peak whose damping is not told from zero is noise, or what leaked out of the mode beside it.
     place, by_scatter = 2 * refined.poles.size, refine_lines(terms, again)
-    if -again.poles.real[-1] < NORMAL * np.sqrt(by_scatter.covariance[place, place]):
+    if -pole.real < NORMAL * np.sqrt(by_scatter.covariance[place, place]):
         return None
-    return Completed(again, terms, whiteness(remaining(terms, again), correlation), done.added + 1)
+    return Completed(again, terms, done.added + 1)
 
 
-def _distinct(refined: Refined) -> bool:
-    """Whether no two modes are one: R / (s - lambda - d_o) with d_o of the points looks like two poles close
-    to lambda.
-    """
-    apart, alike = _overlap(refined)
-    return np.count_nonzero((apart < DISTINCT) & alike) == refined.poles.size
+def _main_participation(residual: ComplexArray, refined: Refined) -> ComplexArray:
+    """That (n_input,) [1] of most of a part of the *residual* (n, n_output, n_input) [unit of the FRF]."""
+    weighted = residual / np.sqrt(refined.noise)
+    return np.linalg.svd(weighted.reshape(-1, residual.shape[2]), full_matrices=False)[2][0]
 
 
 def _overlap(refined: Refined) -> tuple[FloatArray, BoolArray]:

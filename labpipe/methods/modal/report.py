@@ -81,7 +81,7 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
     alone = diagram.indicator.shape[1] == 1 and len(modes.points) == 1
     what = "the" if alone else "singular values of the FRF matrix (complex mode indicator function), and the"
     caption = (
-        f"{fit_title(fit)}: {what} stable poles of all orders. Poles that return at the same place are modes "
+        f"{what} stable poles of all orders. Poles that return at the same place are modes "
         "of the structure; dotted: the modes of the fit. In the page a click on a pole chooses it; the line "
         "`poles:` for the section `modal:` then stands below."
     )
@@ -94,7 +94,11 @@ def diagram_figure(fit: Fit, modes: Modes, diagram: StabilisationDiagram) -> Fig
             if modes.returns[least] < 1
             else " The poles of all modes return in every order."
         )
-    return Figure(graphic, caption, f"Stabilisation diagram of fit {fit_title(fit)}")
+    return _figure(fit, graphic, caption, "Stabilisation diagram")
+
+
+def _figure(fit: Fit, graphic: chart.Chart, caption: str, name: str) -> Figure:
+    return Figure(graphic, f"{fit_title(fit)}: {caption}", f"{name} of fit {fit_title(fit)}")
 
 
 def shapes_figure(fit: Fit, modes: Modes) -> Figure:
@@ -106,10 +110,10 @@ def shapes_figure(fit: Fit, modes: Modes) -> Figure:
         panels, rows, min(COLUMNS, len(panels)), (chart.WIDTH, 0.6 + 1.4 * rows), "x", "above"
     )
     caption = (
-        f"{fit_title(fit)}: real part of the mode shapes with 95 % intervals, the largest point 1, "
+        "real part of the mode shapes with 95 % intervals, the largest point 1, "
         f"over {len(modes.points)} points."
     )
-    return Figure(graphic, caption, f"Mode shapes of fit {fit_title(fit)}")
+    return _figure(fit, graphic, caption, "Mode shapes")
 
 
 def _shape(modes: Modes, n: int, axis: chart.Axis, few: bool) -> chart.Panel:
@@ -143,10 +147,10 @@ def mac_figure(fit: Fit, modes: Modes) -> Figure:
         (chart.Panel(axis, axis, (chart.cells(modes.mac, texts, "MAC"),)),), size=(side + 0.9, side)
     )
     caption = (
-        f"{fit_title(fit)}: modal assurance criterion between the shapes. Two shapes near 1 cannot be "
+        "modal assurance criterion between the shapes. Two shapes near 1 cannot be "
         "told apart at these points."
     )
-    return Figure(graphic, caption, f"Modal assurance criterion of fit {fit_title(fit)}")
+    return _figure(fit, graphic, caption, "Modal assurance criterion")
 
 
 MODES_DETAIL = FitDetailKind(Modes, modal_blocks)

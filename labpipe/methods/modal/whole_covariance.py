@@ -137,8 +137,9 @@ class ModalReceptance:
         """The parameters (n,) [parameter units] of refined modes, with the factors of the terms that fit the
         rest best.
         """
-        poles = self._sum_modes(refined.poles, refined.participation, refined.shapes)
-        residual = (measured.matrix - poles).reshape(measured.omega.size, -1)
+        functions = self.terms.lines.functions(refined.poles)[0]
+        modes = _sum(functions, refined.participation, refined.shapes)
+        residual = (measured.matrix - modes).reshape(measured.omega.size, -1)
         factors = (self.terms.basis.conj().T @ (residual * self._form[:, None])).T
         free = refined.participation[self._free]
         values = np.concatenate([refined.poles, free, refined.shapes.ravel(), factors.ravel()])
@@ -146,21 +147,14 @@ class ModalReceptance:
 
     @cached_property
     def _free(self) -> tuple[IntArray, IntArray]:
-        mask = np.ones((self.n_mode, self.n_input), np.bool_)
-        mask[np.arange(self.n_mode), self.fixed] = False
-        rows, columns = np.nonzero(mask)
+        rows, columns = np.nonzero(np.arange(self.n_input) != self.fixed[:, None])
         return rows, columns
-
-    def _sum_modes(
-        self, poles: ComplexArray, participation: ComplexArray, shapes: ComplexArray
-    ) -> ComplexArray:
-        return _sum(self.terms.lines.functions(poles)[0], participation, shapes)
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """H (n_line, n_output, n_input) [m/N] on the lines of the terms, of random data the expected H1."""
         poles, participation, shapes, factors = self.split(parameters)
         residual_terms = np.einsum("lt,oit->loi", self.basis, factors)
-        return self._sum_modes(poles, participation, shapes) + residual_terms
+        return _sum(self.terms.lines.functions(poles)[0], participation, shapes) + residual_terms
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:  # noqa: ARG002
         """dH/dp (n_parameter, n_line, n_output, n_input) [m/N per parameter unit]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -188,8 +189,13 @@ def test_leakage_of_random_data_is_no_model_error() -> None:
         )
         record = Recording(channels, np.column_stack([force, *motion]), rate, "r")
         frf = FrfSettings("random", block=4.0, overlap=0.5, band=(10.0, 75.0))
-        (fit,) = identify(measure([record], frf), FitSettings("modal", band=(10.0, 75.0), residuals=True))
+        modal = FitSettings("modal", band=(10.0, 75.0), residuals=True)
+        named = replace(modal, model_settings=ModalSettings(poles=(20.0, 52.0)))
+        response = measure([record], frf)
+        (fit,), (alone,) = identify(response, named), identify(response, modal)
         assert any(finding.code == "model-mismatch" for finding in fit.findings)
+        # Where poles are not named the mode above explains most of the misfit.
+        assert alone.gof.chi2_reduced < fit.gof.chi2_reduced / 2
         for name, truth in (("f_n_1", 20.0), ("zeta_1", 0.01), ("m_1", 2.0)):
             stated = fit.parameter(name)
             assert stated.ci95 is not None
@@ -221,3 +227,14 @@ def test_a_mode_just_beyond_the_band_is_no_mismatch_and_a_gain_curve_is(
     (fit,) = identify(measured, FitSettings("modal", band=band))
     assert any(finding.code == "model-mismatch" for finding in fit.findings) != named
     assert any("the mode at 163 Hz, beyond the band" in note for note in fit.notes) == named
+
+
+def test_a_mode_that_its_band_does_not_tell_has_no_interval() -> None:
+    """Whose logarithm is known to 400: the square of e^400 is no number, and no interval one can use."""
+    low, high = -395.0, 405.0
+    mixture = SimpleNamespace(
+        stated_interval=lambda row: (5.0, low, high), noise=np.eye(1), shares={}, second=None, motion=None
+    )
+    error = ModelError(mixture, {"f_n_1": StatedRow(np.ones(1))})  # type: ignore[arg-type]
+    (stated,) = error.state([Parameter("f_n_1", 150.0, "Hz", std_error=1.0, ci95=(148.0, 152.0))])
+    assert stated.value == 150.0 and stated.ci95 is None
