@@ -33,8 +33,7 @@ ESTIMATORS = ("H1", "H2", "Hv")
 RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
 # What recordings become: one response matrix, or all channels side by side with the noise of each.
 RESULTS = ("response", "spectra")
-DETRENDS = ("constant", "linear", "none")
-LOCALS = ("none", "polynomial")
+DETRENDS, LOCALS = ("constant", "linear", "none"), ("none", "polynomial")
 
 
 @dataclass(frozen=True)

@@ -489,16 +489,18 @@ def complete(refined: Refined, terms: ResidualTerms, *, adding: bool) -> Complet
         if not supported:
             break
         done = min(supported, key=lambda more: criterion(more.refined, more.terms))
-        if max(done.p_noise, kept.p_noise) >= SEEN_P or _is_missing(done, kept):
+        if max(done.p_noise, kept.p_noise) >= SEEN_P or is_missing(done, kept):
             kept = done
     return kept
 
 
-def _is_missing(more: Completed, before: Completed) -> bool:
+def is_missing(more: Completed, before: Completed) -> bool:
     """Whether *more* modes halve the squares that are left, in the geometric mean, or the logarithm of their
-    probability as noise, and each is a half-power width from all others, whose peaks it may follow else.
+    probability as noise, and each is a half-power width, the larger of both, from all others, whose peaks it
+    may follow else.
     """
     apart, n_before = _overlap(more.refined)[0], more.refined.poles.size - more.added
+    apart = np.minimum(apart, apart.T)
     fall = before.refined.information - more.refined.information
     chances = np.log(np.maximum([more.p_noise, before.p_noise], np.finfo(float).tiny))
     most = fall > 2 * before.terms.lines.matrix.size * np.log(2) or chances[0] > chances[1] / 2

@@ -56,9 +56,7 @@ class PlannedModel:
 
     @property
     def by_spectra(self) -> bool:
-        """Whether a fit of the spectra of all channels has these coefficients, so that shakers may run at
-        once.
-        """
+        """Whether fits of the spectra of all channels have these coefficients: shakers may run at once."""
         return self.names == matrix_names("kcm" if UNITS["m"] in self.units else "kc")
 
     @property
@@ -148,7 +146,7 @@ def axes_of_model(name: str, expected: Collection[str] = (), n_shaker: int = 1) 
         except ConfigError:
             continue
     # A mass that is not given is a coefficient as well.
-    wanted = {coefficient for coefficient in expected if coefficient != "m"}
+    wanted = set(expected) - {"m"}
     able = [axes for axes, names in known.items() if len(axes) >= n_shaker and wanted <= names]
     return next(iter((*able, *known)), AXES)
 
