@@ -79,9 +79,12 @@ class Layout:
     @property
     def orders(self) -> tuple[int, ...]:
         """Time derivatives of every measured response beyond the form's, or beyond the motion of the base."""
-        quantity = self.input_sensors[0].quantity if self.form == TRANSMISSIBILITY else ""
-        of_form = DERIVATIVES.get(self.form, ORDER_OF.get(quantity, 0))
-        return tuple(ORDER_OF.get(sensor.quantity, of_form) - of_form for sensor in self.output_sensors)
+        of_form = DERIVATIVES.get(self.form)
+        if self.form == TRANSMISSIBILITY:
+            of_form = ORDER_OF[self.input_sensors[0].quantity]
+        if of_form is None:
+            return (0,) * len(self.output_sensors)
+        return tuple(ORDER_OF[sensor.quantity] - of_form for sensor in self.output_sensors)
 
     @property
     def derivatives(self) -> int:

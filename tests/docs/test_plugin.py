@@ -450,7 +450,12 @@ def test_margins_are_listed_by_fit_and_test_with_their_errors(two_tests) -> None
 
 @pytest.mark.parametrize(
     ("group", "name"),
-    [("bearing", "ball-bearing"), ("plan", "sdof"), ("damping_law", "hysteretic"), ("section", "calibrate")],
+    [
+        ("bearing", "ball-bearing"),
+        ("plan", "run-ups"),
+        ("damping_law", "hysteretic"),
+        ("section", "calibrate"),
+    ],
 )
 def test_the_page_names_the_class_of_an_entry(group: str, name: str) -> None:
     """What stands in a group of `entry_points.txt` is an instance of the class on its row of the page."""

@@ -132,6 +132,9 @@ def test_motions_of_several_quantities_are_turned_to_that_of_most() -> None:
     np.testing.assert_allclose(layout.sensor_factor(frequency)[:, :, 0], expected, rtol=1e-14)
     layout = find_layout([run("a", base("acceleration"), a, X)])
     assert (layout.form, layout.orders) == ("transmissibility", (0, -2))
+    # Per volt of a drive nothing is turned.
+    layout = find_layout([run("a", Channel("u", "voltage", "input", "x"), a)])
+    assert (layout.form, layout.orders) == ("other", (0,))
 
 
 @pytest.mark.parametrize(
