@@ -377,6 +377,8 @@ def _test(candidate: Candidate, richer: list[Candidate]) -> Candidate:
 
 # Relaxation times that a search begins from, to the band's ends and as far beyond as this factor.
 N_TIME, BEYOND = 13, 3.0
+# Steps of w = sqrt(Re K(w) / m) from rest, which rise to the resonance and come to rest there.
+RESONANCE_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -427,14 +429,14 @@ class RelaxingMount:
         deviation = np.sqrt(measured.variance[:, 0])
         weights = np.abs(h) ** 2 / deviation
         side = h.conj() / deviation + (self.mass or 0.0) * weights * omega**2
-        found = []
+        tried = []
         for tau in 1 / np.geomspace(omega[omega > 0][0] / BEYOND, BEYOND * omega[-1], N_TIME):
             s = 1j * omega * tau
             columns = np.array([np.ones_like(s), 1j * omega, s / (1 + s), (1j * omega) ** 2])
             rows, whole = stack(weights * columns[: len(self.names) - 1]), stack(side)
             values, squares, *_ = np.linalg.lstsq(rows.T, whole)
-            found.append((float(np.sum(squares)), [*values[:3], tau, *values[3:]]))
-        return np.array(min(found)[1])
+            tried.append((float(np.sum(squares)), [*values[:3], tau, *values[3:]]))
+        return np.array(min(tried)[1])
 
     def at_resonance(self, parameters: FloatArray) -> FloatArray:
         """Stiffness k [N/m], damping c [N.s/m], f_n [Hz] and zeta [1] where Re K(w) = m w^2, (4,)."""
@@ -443,9 +445,6 @@ class RelaxingMount:
             omega = np.sqrt(np.abs(self.stiffness(parameters, omega).real) / mass)
         k, w = complex(self.stiffness(parameters, omega)[0]), float(omega[0])
         return np.array([k.real, k.imag / w, w / (2 * np.pi), k.imag / (2 * k.real)])
-
-
-RESONANCE_STEPS = 60
 
 
 def relaxing_mount(
@@ -485,9 +484,9 @@ def hold_values(parameters: tuple[Parameter, ...], values: dict[str, FloatArray]
         if p.name in values and p.ci95 is not None and p.interval is not None:
             value, error = values[p.name].tolist()
             low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
-            full = (high - low) / (2 * NORMAL)
-            excess = float(np.sqrt(max(full**2 - p.interval.noise**2, 0.0)))
+            held_error = (high - low) / (2 * NORMAL)
+            excess = float(np.sqrt(max(held_error**2 - p.interval.noise**2, 0.0)))
             parts = replace(p.interval, discrepancy=excess)
-            p = restate(p, p.value, full, (low, high), interval=parts)
+            p = restate(p, p.value, held_error, (low, high), interval=parts)
         widened.append(p)
     return tuple(widened)

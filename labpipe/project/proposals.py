@@ -453,10 +453,10 @@ def _named_part(column: Sequence[str], before: str, after: str) -> tuple[str, st
     """What stands before a condition in a *column* of names' parts, its name, what stands after it, and
     whether it is an amount with a unit; *before*, *after*: the parts beside it.
     """
-    found = [match for match in map(_NUMBER.fullmatch, column) if match]
-    words, units = {match[1] for match in found}, {match[3] for match in found}
+    matches = [match for match in map(_NUMBER.fullmatch, column) if match]
+    words, units = {match[1] for match in matches}, {match[3] for match in matches}
     names = {_name_of_unit(unit) for unit in units}
-    if len(found) < len(column) or len(words) > 1 or len(names) > 1:
+    if len(matches) < len(column) or len(words) > 1 or len(names) > 1:
         return "", CASE, "", False
     (word,), (name,) = words, names
     if not name:

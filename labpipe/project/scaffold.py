@@ -86,8 +86,8 @@ def scaffold(named: Sequence[Path], folder: Path) -> Scaffold:
     left_out: dict[str, str] = {}
     files: list[Path] = []
     for path in named:
-        found, without = recordings_in(path) if path.is_dir() else ([path], {})
-        files, left_out = [*files, *found], {**left_out, **without}
+        readable, others = recordings_in(path) if path.is_dir() else ([path], {})
+        files, left_out = [*files, *readable], {**left_out, **others}
     of_files = _scaffold(files, folder)
     return replace(of_files, left_out=tuple(f"{name}: {why}" for name, why in left_out.items()))
 

@@ -130,7 +130,7 @@ def _signature_warnings(identification: Identification) -> tuple[Block, ...]:
 
 
 def _fits_with(code: str, identification: Identification) -> list[str]:
-    return [fit_title(fit) for fit in identification.fits for found in fit.findings if found.code == code]
+    return [fit_title(fit) for fit in identification.fits for finding in fit.findings if finding.code == code]
 
 
 def _list_findings(identification: Identification) -> list[tuple[str, Finding]]:

@@ -247,8 +247,6 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
         adds_terms=not settings.residuals,
-        # Lines that the band leaves out in its middle are no neighbours, which that of a window would need.
-        correlation=response.line_correlation,
     )
     points, references = sides.measured.outputs, sides.measured.inputs
     if modal.moving_mass is not None and len(points) <= FEWEST_POINTS:
@@ -330,14 +328,16 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     return True
 
 
-def _sides(measured: Measured, form: str, *, by_force: bool, **of_lines: Any) -> _Sides:
+def _sides(measured: Measured, form: str, *, hysteretic: bool, by_force: bool, adds_terms: bool) -> _Sides:
     forces_move = len(measured.inputs) > len(measured.outputs)
     turned = _turn(measured) if forces_move else measured
     factor = receptance_factor(form, measured.omega / (2 * np.pi))
     matrix = turned.matrix * factor[:, None, None]
     weight = _weight(turned, factor)
-    of_lines |= {"leakage": measured.leakage, "shared": measured.shared_noise}
-    lines = FrfLines(measured.omega, matrix, DERIVATIVES[form], weight, **of_lines)
+    shared, power = measured.shared_noise, DERIVATIVES[form]
+    lines = FrfLines(measured.omega, matrix, power, weight, hysteretic, measured.leakage, shared, adds_terms)
+    if measured.line_noise is not None:
+        lines = replace(lines, correlation=tuple(measured.line_noise.correlation.tolist()))
     return _Sides(turned, lines, forces_move, by_force)
 
 
@@ -557,8 +557,8 @@ def _polynomial_findings(measured: Measured, refined: Refined) -> list[Finding]:
         return []
     pole, more = refined.poles[np.argmax(refined.poles.real)], ". A second mode may seem to stand beside it"
     frequency, width = (np.array([abs(pole), -2 * pole.real]) / (2 * np.pi)).tolist()
-    found = diagnostics.short_block_findings(measured, frequency, width, True)
-    return [replace(finding, message=finding.message + more) for finding in found]
+    findings = diagnostics.short_block_findings(measured, frequency, width, True)
+    return [replace(finding, message=finding.message + more) for finding in findings]
 
 
 # Lines in the half-power width below which a window is as wide as the mode.

@@ -139,16 +139,16 @@ def axes_of_model(name: str, expected: Collection[str] = (), n_shaker: int = 1) 
     """
     if is_floating(name):
         return AXES
-    known = {}
+    by_axes = {}
     for axes in (AXES[:1], AXES):
         try:
-            known[axes] = set(_equations(name, 1.0, axes).names)
+            by_axes[axes] = set(_equations(name, 1.0, axes).names)
         except ConfigError:
             continue
     # A mass that is not given is a coefficient as well.
     wanted = set(expected) - {"m"}
-    able = [axes for axes, names in known.items() if len(axes) >= n_shaker and wanted <= names]
-    return next(iter((*able, *known)), AXES)
+    able = [axes for axes, names in by_axes.items() if len(axes) >= n_shaker and wanted <= names]
+    return next(iter((*able, *by_axes)), AXES)
 
 
 def planned_model(
