@@ -5,6 +5,7 @@ the plain Python value. ``--set`` edits it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -68,6 +69,8 @@ _Loader.yaml_implicit_resolvers = {
 }
 
 
+# How artefacts begin: megabytes of numbers, of which YAML would make settings one by one.
+MADE = re.compile(r'\s*\{\s*"schema":\s*"(labpipe/[^"]+)"')
 # A file that people write has fewer entries and characters, also when its aliases stand for what they name.
 MOST_NODES, MOST_BYTES = 200_000, 1 << 24
 # Characters of a file whose nodes are kept: pipelines share their rigs, and a watch reads the same files
@@ -92,6 +95,8 @@ def load_marked(path: Path, overrides: Iterable[str] = ()) -> Marked:
         raise ConfigError(f"is not UTF-8 text (byte {error.start})", path) from None
     except OSError as error:
         raise ConfigError(error.strerror or str(error), path) from None
+    if made := MADE.match(text):
+        raise ConfigError(f"is a result of labpipe ({made[1]})", path, "a YAML file of settings is needed")
     tree = parse_marked(text, str(path))
     for assignment in overrides:
         set_entry(tree, assignment)

@@ -57,10 +57,18 @@ class Faults:
     def unknown_keys(
         self, node: Marked, key: str, allowed: Iterable[str], meanings: Mapping[str, str] | None = None
     ) -> None:
-        """A fault for every key not *allowed*, with the nearest, or the one whose meaning names it."""
-        for name, entry in node.content.items():
-            if name not in allowed:
-                self.add(entry, join(key, name), "unknown key", _suggest(name, allowed, meanings or {}))
+        """A fault for every key not *allowed*, with the nearest, or the one whose meaning names it. One for
+        all where hardly any key of a whole file is known: it is of another kind.
+        """
+        unknown = [name for name in node.content if name not in allowed]
+        strange = [name for name in unknown if not difflib.get_close_matches(name, list(allowed), 1, TYPED)]
+        if not key and len(strange) > max(FEW_UNKNOWN, len(node.content) // 2):
+            what = f"{', '.join(strange[:FEW_UNKNOWN])} and {len(strange) - FEW_UNKNOWN} more: unknown keys"
+            self.add(node, key, what, f"is this a file of another kind? known: {', '.join(allowed)}")
+            return
+        for name in unknown:
+            hint = _suggest(name, allowed, meanings or {})
+            self.add(node.content[name], join(key, name), "unknown key", hint)
 
     def mapping(self, node: Marked, key: str) -> dict[str, Marked]:
         """The entries of a mapping, or none and a fault when the node is something else."""
@@ -77,6 +85,8 @@ class Faults:
         return len(self._faults)
 
 
+# Unknown keys of a file up to which each is named by itself.
+FEW_UNKNOWN = 2
 # Likeness from which an unknown key is a typing error; below it, its word in the meaning of a key says more.
 TYPED = 0.75
 

@@ -90,3 +90,11 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "latin.yaml").write_bytes(b"a: \xff\n")
     with pytest.raises(ConfigError, match="not UTF-8"):
         load_marked(tmp_path / "latin.yaml")
+
+
+def test_a_result_in_place_of_settings_is_named_before_it_is_read(tmp_path: Path) -> None:
+    # As artefacts begin; what follows would not even be YAML.
+    path = tmp_path / "identification.json"
+    path.write_text('{\n"schema": "labpipe/identification/2",\n"fits": [[[')
+    with pytest.raises(ConfigError, match=r"identification/2\); a YAML file of settings is needed"):
+        load_marked(path)

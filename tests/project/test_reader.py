@@ -152,3 +152,20 @@ def test_an_override_is_a_place_of_its_own() -> None:
     assert read_settings(Fit, tree, "", faults) is None
     with pytest.raises(ConfigErrors, match="--set mass=3 N: mass: 'N' has the wrong dimension"):
         faults.raise_any()
+
+
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("model: sdof\nmodell: x\nmas: 1 kg\nshares: 2\n", ["modell", "mas", "shares"]),
+        ("frf: 1\nrig: 2\nidentify: 3\nmodel: sdof\n", ["frf, rig and 1 more"]),
+    ],
+)
+def test_a_file_of_another_kind_is_one_fault_and_typing_errors_are_one_each(
+    text: str, unknown: list[str]
+) -> None:
+    faults = Faults()
+    read_settings(Fit, parse_marked(text, "p.yaml"), "", faults)
+    with pytest.raises(ConfigErrors) as caught:
+        faults.raise_any()
+    assert [str(fault).split(": ")[1] for fault in caught.value.faults] == unknown
