@@ -1,9 +1,8 @@
 """Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
 
-Three ways of one job. Blocks that stay in the cache: LineProducts, whose small matrices BLAS multiplies
-line by line. Longer blocks of a few pairs of channels: PackedProducts, in which two real channels share one
-complex transform and every operation runs over a long row. Longer blocks of other channels: RowProducts, in
-which a channel of two segments is one transform.
+Two ways of one job. LineProducts: small matrices, which BLAS multiplies line by line. Long blocks of a few
+pairs of channels: PackedProducts, in which two real channels share one complex transform and every operation
+runs over a long row.
 """
 
 from __future__ import annotations
@@ -23,16 +22,14 @@ from labpipe.spectra.windows import effective_averages, line_correlation
 
 # Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together;
 # most channels that are worth packing, and samples per channel from which on it pays.
-SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 6, 4096
-# Segments transformed together [samples, segments]: few enough to stay in the cache and, of very long blocks,
-# in memory. Long rows are fastest with fewer, of no more than LONG_SAMPLES of a channel together.
+SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 4, 4096
+# Segments whose products are made together [samples, segments]: few enough to stay in the cache and, of very
+# long blocks, in memory. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 22
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
-# Complex numbers of a product that stay in the cache together with what they are made of.
+# Complex numbers of products that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
-# The same for rows of all channels; rows transposed, and lines whose products are made, in the cache.
-PAIRS_AT_ONCE, MOST_AMPLITUDES, CACHED_ROWS, CACHED_NUMBERS = 12, 6 << 20, 1 << 10, 1 << 15
 
 
 class SegmentProducts(ABC):
@@ -95,37 +92,47 @@ class SegmentProducts(ABC):
 
 
 def segment_products(
-    window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
+    window: FloatArray, lines: range, n_channel: int, trend: ComplexArray
 ) -> SegmentProducts:
-    """The fastest way for this *window* (n,) [1], *step* [samples] from segment to segment. The other
-    arguments as for SegmentProducts.
-    """
+    """The faster way for this *window* (n,) [1]; arguments as for SegmentProducts."""
     if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
         return PackedProducts(window, lines, n_channel, trend)
-    if window.size * n_channel <= SAMPLES_OF_SHORT:
-        return LineProducts(window, lines, n_channel, trend)
-    return RowProducts(window, step, lines, n_channel, trend)
+    return LineProducts(window, lines, n_channel, trend)
 
 
 class LineProducts(SegmentProducts):
-    """Products of matrices line by line, for blocks of few lines."""
+    """Products of small matrices, line by line."""
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        n_together = max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // (window.size * n_channel))
-        super().__init__(window, lines, n_channel, trend, n_together)
+        n = window.size * n_channel
+        super().__init__(window, lines, n_channel, trend, max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // n))
+        # Short segments are transformed at once; of long ones each by a thread.
+        is_short = n <= SAMPLES_OF_SHORT
+        self._n_thread, self._together = (1, self._room) if is_short else (threads(), 1)
         self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
-        self._tapered = np.empty((self._room, self._n, n_channel))
+        self._tapered = np.empty((self._n_thread, self._together, self._n, n_channel))
+        self._amplitude = np.empty((self._room, len(lines), n_channel), np.complex128)
         self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
 
     def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        np.multiply(segments, self._taper, out=self._tapered[place])
+        def transform(starts: Sequence[int], thread: int) -> None:
+            for start in starts:
+                some = segments[start : start + self._together]
+                tapered = np.multiply(some, self._taper, out=self._tapered[thread, : len(some)])
+                transformed = fft.rfft(tapered, axis=1)[:, self._lines[0] : self._lines[-1] + 1]
+                if len(some) == self._room:
+                    self._amplitude = transformed
+                else:
+                    first = place.start + start
+                    self._amplitude[first : first + len(some)] = transformed
+
+        by_turns(transform, range(0, len(segments), self._together), self._n_thread)
 
     def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        amplitude = fft.rfft(self._tapered[:n_segment], axis=1)
-        kept = amplitude[:, self._lines[0] : self._lines[-1] + 1]
+        kept = self._amplitude[:n_segment]
         for number, trend in enumerate(self._trend):
             kept[:, : trend.size] -= trend[None, :, None] * coefficients[:, number, None, :]
-        _add_matrices(kept.swapaxes(0, 1), self._sum)
+        _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
         """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
@@ -190,88 +197,10 @@ class PackedProducts(SegmentProducts):
         return _hermitian_lines(matrix, columns, scale)
 
 
-class RowProducts(SegmentProducts):
-    """Products of matrices line by line, of transforms of two segments each, z = x_1 + i x_2. X_1a(f)
-    X_1b(f)* + X_2a(f) X_2b(f)* = (Z_a(f) Z_b(f)* + Z_a(-f)* Z_b(-f)) / 2 of any two channels a and b.
-    """
-
-    def __init__(
-        self, window: FloatArray, step: int, lines: range, n_channel: int, trend: ComplexArray
-    ) -> None:
-        """*step* [samples] from a segment to the next; the other arguments as for SegmentProducts."""
-        super().__init__(window, lines, n_channel, trend, 2 * PAIRS_AT_ONCE)
-        n_pair = max(1, min(PAIRS_AT_ONCE, MOST_AMPLITUDES // (len(lines) * 2 * n_channel)))
-        self._room, self._step, self._window = 2 * n_pair, step, window
-        self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        # A pair that waits for its second segment is in the place of the first thread.
-        self._n_thread = threads()
-        self._rows = np.empty((self._n_thread, n_channel, window.size + step))
-        self._pair = np.empty((self._n_thread, n_channel, window.size), np.complex128)
-        # Positive frequencies of every pair, and conjugates of negative ones.
-        self._amplitude = np.zeros((n_pair, 2, len(lines), n_channel), np.complex128)
-        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
-
-    def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        begun = place.start % 2
-        if begun:
-            self._put(place.start, segments[0], 0)
-        pairs = range(place.start + begun, place.stop - 1, 2)
-
-        def transform(some: Sequence[int], thread: int) -> None:
-            for first in some:
-                for number in (first, first + 1):
-                    self._put(number, segments[number - place.start], thread)
-
-        by_turns(transform, pairs, self._n_thread)
-        if place.stop % 2:
-            self._put(place.stop - 1, segments[-1], 0)
-
-    def _put(self, number: int, segment: FloatArray, thread: int) -> None:
-        """Taper a *segment* (n, n_channel), and transform the pair of which it is the second."""
-        is_second = number % 2 == 1
-        n_known = max(self._n - self._step, 0) if is_second else 0
-        begin = self._step if is_second else 0
-        rows, pair = self._rows[thread], self._pair[thread]
-        for start in range(n_known, self._n, CACHED_ROWS):
-            end = min(start + CACHED_ROWS, self._n)
-            rows[:, begin + start : begin + end] = segment[start:end].T
-        half = pair.imag if is_second else pair.real
-        np.multiply(rows[:, begin : begin + self._n], self._window, out=half)
-        if is_second:
-            self._transform(number // 2, pair)
-
-    def _transform(self, number: int, pair: ComplexArray) -> None:
-        transformed = fft.fft(pair, axis=1, overwrite_x=True).T
-        n, lines, kept = self._n, self._lines, self._amplitude[number]
-        positive = transformed[lines[0] : lines[-1] + 1]
-        negative = transformed[n - lines[-1] : n - lines[0] + 1][::-1]
-        for start in range(0, len(lines), CACHED_ROWS):
-            chunk = slice(start, start + CACHED_ROWS)
-            kept[0, chunk] = positive[chunk]
-            np.conjugate(negative[chunk], out=kept[1, chunk])
-
-    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        n_pair = (n_segment + 1) // 2
-        if n_segment % 2:
-            self._pair[0].imag = 0.0
-            self._transform(n_pair - 1, self._pair[0])
-        for number, trend in enumerate(self._trend):
-            weight = coefficients[0::2, number].astype(np.complex128)
-            weight[: n_segment // 2] += 1j * coefficients[1::2, number]
-            both = np.stack([weight, weight.conj()], axis=1)
-            self._amplitude[:n_pair, :, : trend.size] -= both[:, :, None] * trend[:, None]
-        kept = self._amplitude[:n_pair].reshape(2 * n_pair, len(self._lines), -1)
-        _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
-
-    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
-        return _matrix_of(self._sum, columns, 0.5 * scale)
-
-
 def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
     """Add sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), lines that stay in the cache together."""
     n_line, n = sums.shape[:2]
-    n_chunk = max(1, CACHED_NUMBERS // (n * (n + 2 * amplitude.shape[1])))
+    n_chunk = max(1, CACHED_PRODUCTS // (n * (n + 2 * amplitude.shape[1])))
 
     def add(starts: Sequence[int], _: int) -> None:
         product = np.empty((n_chunk, n, n), np.complex128)
@@ -309,7 +238,7 @@ def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) 
     n_line, n = sums.shape[:2]
     chosen = range(n) if columns is None else columns
     matrix = np.empty((n, len(chosen), n_line), np.complex128)
-    n_chunk = max(1, CACHED_NUMBERS // n**2)
+    n_chunk = max(1, CACHED_PRODUCTS // n**2)
     for start in range(0, n_line, n_chunk):
         lines = slice(start, start + n_chunk)
         part = sums[lines] * scale
@@ -357,7 +286,7 @@ class WelchAverage:
         trend = fft.rfft(window * self._basis, axis=1)[:, lines]
         above = np.abs(trend) > np.finfo(float).eps * np.sqrt(2 * trend.shape[1])
         trend = trend[:, : np.max(np.flatnonzero(np.any(above, axis=0)), initial=-1) + 1]
-        self._products = segment_products(window, step, self._lines, n_channel, trend)
+        self._products = segment_products(window, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:
