@@ -93,7 +93,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         values = getattr(response, name)
         if response.repeat_names and values is not None:
             repeats[name] = values.tolist()
-    by_repeat = [error.by_repeat for error in response.errors]
+    by_repeat, powers = ([getattr(e, name) for e in response.errors] for name in ("by_repeat", "power"))
     return {
         "name": response.name,
         "form": response.form,
@@ -109,6 +109,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "snr_channels": list(response.snr_channels),
         "errors": [asdict(error.uncertainty) for error in response.errors],
         **({"errors_by_repeat": by_repeat} if any(by_repeat) else {}),
+        **({"error_powers": powers} if set(powers) > {1} else {}),
         **repeats,
         "conditions": response.conditions,
     }
@@ -167,11 +168,12 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
         line_gains=np.stack(_numbered_matrices(columns, pairs, "gain", n_gain), 1) if n_gain else None,
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=tuple(
-            MatrixError(Uncertainty(**entry), change, of_repeat)
-            for entry, change, of_repeat in zip(
+            MatrixError(Uncertainty(**entry), change, of_repeat, power)
+            for entry, change, of_repeat, power in zip(
                 errors,
                 _numbered_matrices(columns, pairs, "error", len(errors)),
                 contents.get("errors_by_repeat", [False] * len(errors)),
+                contents.get("error_powers", [1] * len(errors)),
                 strict=True,
             )
         ),

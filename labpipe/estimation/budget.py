@@ -351,12 +351,12 @@ def _plane(ports: Sequence[Port]) -> FloatArray:
 
 
 def _add_error(matrix_error: uncertain.MatrixError, whole: ComplexArray, case: Case, error: float) -> Case:
-    """What the error of a number in a sum of channels does to the whole matrix, in proportion to it; that of
-    noise of a force to each element, which was *whole* (n_line, n_output, n_input) [m/N] when measured.
+    """What the error of a number in a sum of channels, or noise of a force, does to each element of the
+    matrix by its power, which was *whole* (n_line, n_output, n_input) [m/N] when measured.
     """
-    change, measured = error / matrix_error.uncertainty.std_error * matrix_error.change, case.measured
-    if matrix_error.by_repeat:
-        change = change * measured.plus_offset(measured.matrix) / np.where(whole == 0, 1.0, whole)
+    measured, size = case.measured, error / matrix_error.uncertainty.std_error
+    now = measured.plus_offset(measured.matrix) / np.where(whole == 0, 1.0, whole)
+    change = size * matrix_error.change * now**matrix_error.power
     return _with_matrix(case, measured.matrix + change)
 
 

@@ -112,6 +112,11 @@ class Channel:
         """The SI unit of the samples."""
         return QUANTITIES[self.quantity].si_unit
 
+    @property
+    def sensors(self) -> set[str]:
+        """The names of the measured channels in it: its own, or those of its terms."""
+        return {term.channel for term in self.terms} or {self.name}
+
 
 class SampleSource(Protocol):
     """What the spectra need of a recording, in memory or on disk: its channels, rate, length and blocks in

@@ -166,12 +166,14 @@ class MatrixError:
     noise of the force within its window.
 
     *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the
-    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it.
+    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it. *power* of the matrix
+    that it goes with, also in noise: 2 where the force holds a sensor of the response.
     """
 
     uncertainty: Uncertainty
     change: ComplexArray
     by_repeat: bool = False
+    power: int = 1
 
     def __post_init__(self) -> None:
         what = f"change by {self.uncertainty.source}"

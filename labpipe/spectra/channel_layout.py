@@ -79,20 +79,24 @@ def sum_errors(
     rows = _member_rows(sources, replace(settings, estimator="H1"), layout, members, frequency.size, estimate)
     omega = 2 * np.pi * frequency
     motion = layout.motion_factor(frequency)
-    changes: dict[str, ComplexArray] = {}
+    responding = {name for sensor in layout.output_sensors for name in sensor.sensors}
+    changes: dict[tuple[str, int], ComplexArray] = {}
     uncertainties: dict[str, Uncertainty] = {}
     for effects, are_outputs in ((of_outputs, True), (of_inputs, False)):
         for effect in effects:
             source = effect.uncertainty.source
             uncertainties.setdefault(source, effect.uncertainty)
-            change = changes.setdefault(source, np.zeros(matrix.shape, np.complex128))
+            power = 1 if are_outputs or effect.member not in responding else 2
+            change = changes.setdefault((source, power), np.zeros(matrix.shape, np.complex128))
             size = effect.uncertainty.std_error * effect.slope * omega**effect.power
             row = size[:, None] * rows[effect.member]
             if are_outputs:
                 change[:, effect.port, :] += row / motion[:, effect.port, None]
             else:
                 change -= matrix[:, :, effect.port, None] * row[:, None, :]
-    return tuple(MatrixError(uncertainties[source], change) for source, change in changes.items())
+    return tuple(
+        MatrixError(uncertainties[source], change, power=power) for (source, power), change in changes.items()
+    )
 
 
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:

@@ -27,7 +27,8 @@ def receptance_factor(form: str, frequency: FloatArray) -> ComplexArray:
             "model: base; or where the mass is known a force by a channel under derived: in the rig file, "
             "{f: {sum: {a: 1500 kg}, quantity: force, dof: x}}"
             if form == TRANSMISSIBILITY
-            else ("displacement, velocity or acceleration per force")
+            else "displacement, velocity or acceleration per force; a moment and an angle at an arm of "
+            "1 m, by channels under derived: in the rig file, {f: {sum: {M: 1 1/m}, quantity: force, dof: x}}"
         )
         raise ConfigError(f"a response of the form '{form}' cannot be identified", hint=hint)
     factor: ComplexArray = (2j * np.pi * frequency) ** DERIVATIVES[form]

@@ -391,9 +391,13 @@ def feedback_of_periods(
                     gain[clear, force],
                     spectrum.dof,
                 )
-                for o in range(matrix.shape[1])
+                # A sensor in force and response gives both its noise: no controller is needed.
+                for o, sensor in enumerate(layout.output_sensors)
+                if not sensor.sensors & layout.input_sensors[force].sensors
             ]
             name = layout.inputs[force].label
+            if not values:
+                continue
             chances[name] = min(min(values) * len(values) * n_input * len(spectra), chances.get(name, 1.0))
     return _findings(chances, (), WEIGHTED)
 
