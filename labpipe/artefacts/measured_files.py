@@ -5,7 +5,7 @@ covariance.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,8 @@ def _element(response: FrequencyResponse, o: int, i: int) -> Iterator[tuple[str,
             yield suffix, values[:, o, i]
     for number, error in enumerate(response.errors):
         yield from _parts(f":error:{number}:", error.change[:, o, i]).items()
+        for power, part in enumerate(error.parts):
+            yield from _parts(f":error_{power}:{number}:", part[:, o, i]).items()
     for attribute in _COMPLEX:
         beside = getattr(response, attribute)
         if beside is not None:
@@ -93,7 +95,8 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         values = getattr(response, name)
         if response.repeat_names and values is not None:
             repeats[name] = values.tolist()
-    by_repeat, powers = ([getattr(e, name) for e in response.errors] for name in ("by_repeat", "power"))
+    by_repeat = [error.by_repeat for error in response.errors]
+    n_part = [len(error.parts) for error in response.errors]
     return {
         "name": response.name,
         "form": response.form,
@@ -109,7 +112,7 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
         "snr_channels": list(response.snr_channels),
         "errors": [asdict(error.uncertainty) for error in response.errors],
         **({"errors_by_repeat": by_repeat} if any(by_repeat) else {}),
-        **({"error_powers": powers} if set(powers) > {1} else {}),
+        **({"error_parts": n_part} if any(n_part) else {}),
         **repeats,
         "conditions": response.conditions,
     }
@@ -146,7 +149,6 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
     }
     has_multiple = f"{outputs[0].label}:multiple_coh" in columns
     n_gain, n_repeat = contents.get("line_gains", 0), len(contents.get("repeats", ()))
-    errors = contents.get("errors", [])
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
         matrix=_complex_matrix(columns, pairs, ":"),
@@ -167,16 +169,7 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
         ),
         line_gains=np.stack(_numbered_matrices(columns, pairs, "gain", n_gain), 1) if n_gain else None,
         blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
-        errors=tuple(
-            MatrixError(Uncertainty(**entry), change, of_repeat, power)
-            for entry, change, of_repeat, power in zip(
-                errors,
-                _numbered_matrices(columns, pairs, "error", len(errors)),
-                contents.get("errors_by_repeat", [False] * len(errors)),
-                contents.get("error_powers", [1] * len(errors)),
-                strict=True,
-            )
-        ),
+        errors=tuple(_errors(contents, columns, pairs)),
         repeats=np.stack(_numbered_matrices(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
         repeat_names=tuple(contents.get("repeats", ())),
         **{name: np.array(contents[name]) for name in _BY_REPEAT if name in contents},
@@ -193,6 +186,17 @@ def _matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> FloatArray
 
 def _complex_matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> ComplexArray:
     return _join(*(_matrix(columns, pairs, suffix + part) for part in PARTS))
+
+
+def _errors(contents: Mapping[str, Any], columns: Columns, pairs: list[list[str]]) -> Iterator[MatrixError]:
+    entries = contents.get("errors", [])
+    changes = _numbered_matrices(columns, pairs, "error", len(entries))
+    by_repeat = contents.get("errors_by_repeat", [False] * len(entries))
+    n_part = contents.get("error_parts", [0] * len(entries))
+    for number, entry in enumerate(entries):
+        names = [f":error_{power}:{number}:" for power in range(n_part[number])]
+        parts = tuple(_complex_matrix(columns, pairs, name) for name in names)
+        yield MatrixError(Uncertainty(**entry), changes[number], by_repeat[number], parts)
 
 
 def _numbered_matrices(columns: Columns, pairs: list[list[str]], name: str, count: int) -> list[ComplexArray]:

@@ -352,12 +352,11 @@ def _plane(ports: Sequence[Port]) -> FloatArray:
 
 def _add_error(matrix_error: uncertain.MatrixError, whole: ComplexArray, case: Case, error: float) -> Case:
     """What the error of a number in a sum of channels, or noise of a force, does to each element of the
-    matrix by its power, which was *whole* (n_line, n_output, n_input) [m/N] when measured.
+    matrix, which was *whole* (n_line, n_output, n_input) [m/N] when measured.
     """
     measured, size = case.measured, error / matrix_error.uncertainty.std_error
-    now = measured.plus_offset(measured.matrix) / np.where(whole == 0, 1.0, whole)
-    change = size * matrix_error.change * now**matrix_error.power
-    return _with_matrix(case, measured.matrix + change)
+    ratio = measured.plus_offset(measured.matrix) / np.where(whole == 0, 1.0, whole)
+    return _with_matrix(case, measured.matrix + size * matrix_error.at(ratio))
 
 
 def across_findings(setup: Setup, budget: uncertain.Budget) -> Iterator[Finding]:

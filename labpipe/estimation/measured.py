@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -198,9 +198,7 @@ def measured_part(
         offset=view.offset / np.real(factor) if view.offset else None,
         noise_of_channels=_noise_of_channels(response, rows, columns, lines),
         change=None if response.change is None else choose(response.change) / factor[:, None, None],
-        errors=tuple(
-            replace(error, change=choose(error.change) / factor[:, None, None]) for error in response.errors
-        ),
+        errors=tuple(e.turn(lambda part: choose(part) / factor[:, None, None]) for e in response.errors),
     )
 
 

@@ -158,6 +158,13 @@ def variance_of(covariance: StoredCovariance) -> FloatArray | None:
     return None if covariance is None else covariance.variance.reshape(covariance.shape[:2])
 
 
+def element_of(
+    covariance: ComplexArray | FactoredCovariance | BlockCovariance, p: int, q: int
+) -> ComplexArray:
+    """The covariance of elements *p* and *q* of vec(H), row-major, (n_line,) [unit^2 of H]."""
+    return covariance[:, p, q] if isinstance(covariance, np.ndarray) else covariance.element(p, q)
+
+
 class HeldCovariance:
     """An attribute that is given as a whole array (n_line, n, n), in parts, or as None, and read as an array,
     which is made once.
@@ -408,10 +415,7 @@ class FrequencyResponse:
         covariance = self.stored_covariance
         if covariance is None:
             raise DataError(f"the covariance of '{self.name}' is not known")
-        element: ComplexArray = (
-            covariance[:, p, q] if isinstance(covariance, np.ndarray) else covariance.element(p, q)
-        )
-        return element
+        return element_of(covariance, p, q)
 
 
 # A matrix of more numbers than this stands in its own file only: a result shows as many elements of it as
@@ -459,7 +463,7 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         blocks=response.blocks and response.blocks.of_forces(columns),
         covariance=None if variance is None else BlockCovariance.from_variance(part(variance)),
         multiple_coherence=None if multiple is None else multiple[:, rows],
-        errors=tuple(replace(error, change=part(error.change)) for error in response.errors),
+        errors=tuple(error.turn(part) for error in response.errors),
         findings=(*response.findings, note("part-shown", message)),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
@@ -166,18 +166,32 @@ class MatrixError:
     noise of the force within its window.
 
     *change* (n_frequency, n_output, n_input) complex [unit of the matrix]: by one standard uncertainty of the
-    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it. *power* of the matrix
-    that it goes with, also in noise: 2 where the force holds a sensor of the response.
+    *uncertainty*. *by_repeat*: each repeat has its own, so that their scatter shows it. *parts* of the change
+    that go with the powers 0, 1, 2 of each element of the matrix, in noise as well; none: all with the first.
     """
 
     uncertainty: Uncertainty
     change: ComplexArray
     by_repeat: bool = False
-    power: int = 1
+    parts: tuple[ComplexArray, ...] = ()
 
     def __post_init__(self) -> None:
         what = f"change by {self.uncertainty.source}"
         freeze(self, "change", np.complex128, np.shape(self.change), what)
+
+    def turn(self, of_matrix: Callable[[ComplexArray], ComplexArray]) -> MatrixError:
+        """The error of what a linear *of_matrix* makes of the matrix (n_frequency, n_output, n_input) [any
+        unit].
+        """
+        return replace(self, change=of_matrix(self.change), parts=tuple(map(of_matrix, self.parts)))
+
+    def at(self, ratio: ComplexArray) -> ComplexArray:
+        """The change [unit of the matrix] where the matrix is *ratio* [1] times the measured one, each
+        (n_frequency, n_output, n_input).
+        """
+        if not self.parts:
+            return self.change * ratio
+        return np.sum([part * ratio**power for power, part in enumerate(self.parts)], axis=0)
 
 
 def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import Port
+from labpipe.records.response import Port, element_of
 from labpipe.records.spectra import UncertainFactor
 from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
 from labpipe.spectra.channels import (
@@ -76,27 +76,44 @@ def sum_errors(
         return ()
     frequency, matrix = response
     members = list(dict.fromkeys(effect.member for effect in (*of_outputs, *of_inputs)))
-    rows = _member_rows(sources, replace(settings, estimator="H1"), layout, members, frequency.size, estimate)
+    once = replace(settings, estimator="H1")
+    rows, following = _member_rows(sources, once, layout, members, frequency, estimate)
     omega = 2 * np.pi * frequency
     motion = layout.motion_factor(frequency)
-    responding = {name for sensor in layout.output_sensors for name in sensor.sensors}
-    changes: dict[tuple[str, int], ComplexArray] = {}
+    parts: dict[str, ComplexArray] = {}
     uncertainties: dict[str, Uncertainty] = {}
     for effects, are_outputs in ((of_outputs, True), (of_inputs, False)):
         for effect in effects:
             source = effect.uncertainty.source
             uncertainties.setdefault(source, effect.uncertainty)
-            power = 1 if are_outputs or effect.member not in responding else 2
-            change = changes.setdefault((source, power), np.zeros(matrix.shape, np.complex128))
             size = effect.uncertainty.std_error * effect.slope * omega**effect.power
-            row = size[:, None] * rows[effect.member]
-            if are_outputs:
-                change[:, effect.port, :] += row / motion[:, effect.port, None]
-            else:
-                change -= matrix[:, :, effect.port, None] * row[:, None, :]
+            size = (size / motion[:, effect.port] if are_outputs else size)[:, None, None]
+            row = size * rows[effect.member][:, None, :]
+            with_noise = size * following[effect.member] * matrix
+            change = parts.setdefault(source, np.zeros((3, *matrix.shape), np.complex128))
+            change += _parts_of_change(row, with_noise, matrix, effect.port, are_outputs)
     return tuple(
-        MatrixError(uncertainties[source], change, power=power) for (source, power), change in changes.items()
+        MatrixError(uncertainties[source], change.sum(axis=0), parts=tuple(change))
+        for source, change in parts.items()
     )
+
+
+def _parts_of_change(
+    row: ComplexArray, with_noise: ComplexArray, matrix: ComplexArray, port: int, is_output: bool
+) -> ComplexArray:
+    """What a *row* (n_line, 1, n_input) [1 or unit of H] more of an output, or less of a force, makes of the
+    *matrix* H, (3, n_line, n_output, n_input) [unit of H]: parts that go with the powers 0, 1 and 2 of its
+    elements. *with_noise* (n_line, n_output, n_input): part of the row whose noise is that of H.
+    """
+    parts = np.zeros((3, *matrix.shape), np.complex128)
+    if is_output:
+        parts[0, :, port], parts[1, :, port] = (row - with_noise)[:, port], with_noise[:, port]
+        return parts
+    driven = matrix[:, :, port, None]
+    parts[0], parts[2] = driven * (with_noise - row), -driven * with_noise
+    parts[1, :, :, port] = parts[0, :, :, port]
+    parts[0, :, :, port] = 0.0
+    return parts
 
 
 def _effects(sensors: Sequence[Channel], sources: Sequence[SampleSource]) -> Iterator[_Effect]:
@@ -137,33 +154,58 @@ def _member_rows(
     settings: FrfSettings,
     layout: Layout,
     members: Sequence[str],
-    n_line: int,
+    frequency: FloatArray,
     estimate: Estimate,
-) -> dict[str, ComplexArray]:
+) -> tuple[dict[str, ComplexArray], dict[str, ComplexArray]]:
+    """By member its response G (n_line, n_input) [unit/N], and what noise of H makes of it, cov(G_i, H_oi) /
+    var H_oi (n_line, n_output, n_input) [unit of G / unit of H].
+    """
     names = [sensor.name for sensor in layout.input_sensors]
+    none = np.zeros((frequency.size, len(layout.outputs), len(names)), np.complex128)
     unit = np.eye(len(names), dtype=np.complex128)
     rows = {
-        member: np.broadcast_to(unit[names.index(member)], (n_line, len(names)))
-        for member in members
-        if member in names
+        name: np.broadcast_to(unit[names.index(name)], none[:, 0].shape) for name in members if name in names
     }
-    others = tuple(member for member in members if member not in names)
-    if others:
+    following: dict[str, ComplexArray] = dict.fromkeys(rows, none)
+    if len(rows) < len(members):
+        measured = [sensor.name for sensor in layout.output_sensors]
+        others = [name for name in members if name not in (*names, *measured)]
+        measured += others
+        channels = {channel.name: channel for channel in sources[0].channels}
         places = [[channel.name for channel in source.channels] for source in sources]
-        sensors = tuple(sources[0].channels[places[0].index(member)] for member in others)
         of_members = replace(
             layout,
-            outputs=tuple(Port(member, member, member) for member in others),
+            outputs=tuple(Port(str(number), name, name) for number, name in enumerate(measured)),
             output_columns=tuple(
-                tuple(names_here.index(member) for member in others) for names_here in places
+                (*known, *(place.index(name) for name in others))
+                for known, place in zip(layout.output_columns, places, strict=True)
             ),
-            output_sensors=sensors,
+            output_sensors=(*layout.output_sensors, *(channels[name] for name in others)),
             form="other",
         )
-        parts = estimate([WithRoles(source, others) for source in sources], settings, of_members)
-        matrix = parts.matrix * of_members.sensor_factor(parts.frequency)
-        rows |= {member: matrix[:, number] for number, member in enumerate(others)}
-    return rows
+        parts = estimate([WithRoles(source, measured) for source in sources], settings, of_members)
+        factor, of_matrix = (of.sensor_factor(parts.frequency) for of in (of_members, layout))
+        for name in set(members) - set(names):
+            number = measured.index(name)
+            rows[name] = (parts.matrix * factor)[:, number]
+            slope = _following(parts, number, none.shape[1])
+            following[name] = slope * factor[:, None, number] / of_matrix
+    return rows, following
+
+
+def _following(parts: Parts, number: int, n_output: int) -> ComplexArray:
+    """cov(G_i, H_oi) / var H_oi (n_line, n_output, n_input) [1] of response *number* with the first
+    *n_output*; 0 where no noise is known.
+    """
+    n_line, _, n_input = parts.matrix.shape
+    slope = np.zeros((n_line, n_output, n_input), np.complex128)
+    if parts.covariance is not None:
+        for o, i in np.ndindex(n_output, n_input):
+            own, other = number * n_input + i, o * n_input + i
+            variance = element_of(parts.covariance, other, other)
+            shared = element_of(parts.covariance, own, other)
+            np.divide(shared, variance, out=slope[:, o, i], where=variance != 0)
+    return slope
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def _with_each(
     return replace(
         response,
         matrix=turn(response.matrix),
-        errors=tuple(replace(error, change=turn(error.change)) for error in response.errors),
+        errors=tuple(error.turn(turn) for error in response.errors),
         **turned,
     )
 

@@ -265,7 +265,7 @@ def _measure(
         repeats_are=repeats_are,
         errors=(
             *sum_errors(cleaned, settings, layout, (parts.frequency, matrix), open_loop),
-            *(replace(error, change=error.change * sensor_factor) for error in parts.errors),
+            *(error.turn(lambda part: part * sensor_factor) for error in parts.errors),
         ),
         name=name,
         findings=findings,

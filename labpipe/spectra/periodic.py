@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -525,7 +526,7 @@ def at_common_lines(responses: Sequence[FrequencyResponse]) -> list[FrequencyRes
         lines = np.isin(other.frequency, common)
         values = {name: getattr(other, name) for name in BY_LINE}
         chosen = {name: value[lines] for name, value in values.items() if value is not None}
-        errors = tuple(replace(error, change=error.change[lines]) for error in other.errors)
+        errors = tuple(error.turn(itemgetter(lines)) for error in other.errors)
         parts.append(other if np.all(lines) else replace(other, **chosen, errors=errors))
     return parts
 
@@ -565,7 +566,7 @@ def robust_mean(responses: Sequence[FrequencyResponse], half_width: int) -> Freq
         repeats_are="realisations",
         # All were measured through the same sums.
         errors=tuple(
-            replace(of_one[0], change=np.mean([error.change for error in of_one], axis=0))
+            replace(of_one[0], change=np.mean([error.change for error in of_one], axis=0), parts=())
             for of_one in zip(*(response.errors for response in responses), strict=True)
         ),
         change=_mean_of(responses, "change"),

@@ -430,7 +430,7 @@ def _errors(
     for response, (row, column) in zip(responses, places, strict=True):
         for error in response.errors:
             wholes[error.uncertainty.source][:, row, column] += error.change
-    return tuple(replace(error, change=wholes[source]) for source, error in by_source.items())
+    return tuple(replace(error, change=wholes[source], parts=()) for source, error in by_source.items())
 
 
 def _check_all_joined(

@@ -363,13 +363,19 @@ def test_a_moment_over_an_angle_is_a_force_over_a_displacement_at_an_arm_of_a_me
         assert parameter.systematic == pytest.approx(1e-3 * value, rel=0.01)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_noise_of_a_sensor_in_force_and_response_is_no_loop_and_no_wrong_mass(
-    tmp_path: Path, seed: int
+# The same with uncertain gains: of the cell through the sum alone, of the accelerometer through both.
+CALIBRATED = BELOW.replace("force, role", "force, unit: V, sensitivity: 1 V/N +- 1 %, role", 1).replace(
+    "acceleration, role", "acceleration, unit: V, sensitivity: 1 V/(m/s^2) +- 1 %, role"
+)
+
+
+@pytest.mark.parametrize(("rig_text", "seed"), [(BELOW, 0), (BELOW, 1), (CALIBRATED, 0), (CALIBRATED, 1)])
+def test_noise_of_a_sensor_in_force_and_response_is_no_loop_and_no_wrong_number(
+    tmp_path: Path, rig_text: str, seed: int
 ) -> None:
     w = np.pi * LINES
     moved = 1 / (40e3 + 20j * w - 1.1 * w**2)
-    fit = fit_of_periods(tmp_path, BELOW, {"f": np.ones(w.size), "a": -(w**2) * moved}, seed)
-    assert not {"feedback", "mass"} & {finding.code for finding in fit.findings}
+    fit = fit_of_periods(tmp_path, rig_text, {"f": np.ones(w.size), "a": -(w**2) * moved}, seed)
+    assert not {"feedback", "mass", "stated-value"} & {finding.code for finding in fit.findings}
     stiffness = fit.parameter("k")
     assert abs(stiffness.value - 40e3) < 4 * stiffness.full_error

@@ -183,6 +183,8 @@ def test_errors_follow_the_matrix_into_files_and_other_forms(tmp_path: Path) -> 
     assert [error.uncertainty for error in read.errors] == [error.uncertainty for error in response.errors]
     for before, after in zip(response.errors, read.errors, strict=True):
         np.testing.assert_array_equal(before.change, after.change)
+        np.testing.assert_array_equal(before.parts, after.parts)
+        np.testing.assert_allclose(np.sum(after.parts, axis=0), after.change, rtol=1e-12)
     # Any linear map of the matrix acts on its changes alike: one standard uncertainty added before or after
     # gives the same.
     moved = replace(response, matrix=response.matrix + change_of(response, "m_s, 3 kg"))

@@ -381,7 +381,7 @@ def _turn(measured: Measured) -> Measured:
     return replace(
         measured,
         matrix=measured.matrix.swapaxes(1, 2),
-        errors=tuple(replace(error, change=error.change.swapaxes(1, 2)) for error in measured.errors),
+        errors=tuple(error.turn(lambda part: part.swapaxes(1, 2)) for error in measured.errors),
         covariance=covariance,
         outputs=measured.inputs,
         inputs=measured.outputs,
