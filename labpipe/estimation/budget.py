@@ -120,7 +120,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
     sources, is_noisy = sources_of(case.setup, case.measured), has_noise(case.measured)
     noise = weight_uncertainty(case.measured, case.estimate.dof).inflation if is_noisy else 1.0
     weights, uncertainties = fit_weights(case.measured), tuple(uncertainty for uncertainty, _ in sources)
-    moved, at, before = case, np.zeros(len(sources)), np.inf
+    moved, at, before, by_noise = case, np.zeros(len(sources)), np.inf, _shared_noise(case.measured, sources)
     likely = case, uncertainties, Stated.of(np.zeros((0, case.measured.n_equation)))
     followed = np.zeros(case.estimate.values.size)
     for number in range(MOST_ROUNDS if sources else 0):
@@ -135,7 +135,7 @@ def most_likely(case: Case) -> tuple[Case, tuple[uncertain.Uncertainty, ...], St
         squares = float(across @ across + noise * at @ at)
         if squares < before:
             before, origin, base = squares, at, values - along + followed
-            stated = Stated(_residual_changes(moved, sources, weights), at)
+            stated = Stated(_residual_changes(moved, sources, weights), at, by_noise)
             likely = moved, uncertainties, stated
             move = pulls_of(across, stated, jacobian, inverse, noise).likely - at
             change = move @ stated.changes
@@ -161,6 +161,20 @@ def _move(
         moved = change(moved, amount * uncertainty.std_error)
     model = _model_of(case, moved)
     return replace(moved, model=model, estimate=replace(case.estimate, values=values))
+
+
+def _shared_noise(measured: Measured, sources: Sequence[tuple[uncertain.Uncertainty, Change]]) -> FloatArray:
+    """Of each source what noise in its change of the matrix may make of the product with the residual
+    (n_source,) [1]: a complex number of the residual has the square 2.
+    """
+    whole = measured.plus_offset(measured.matrix)
+    sizes: dict[str, float] = {}
+    for error in measured.errors:
+        relative = np.abs(error.change) / np.where(whole == 0, np.inf, np.abs(whole))
+        name, size = error.uncertainty.source, 2 * float(np.sum(relative))
+        # What differs between repeats is in the residual.
+        sizes[name] = sizes.get(name, 0.0) + (0.0 if error.by_repeat else size)
+    return np.array([sizes.get(uncertainty.source, 0.0) for uncertainty, _ in sources])
 
 
 def _residual_changes(

@@ -473,7 +473,7 @@ def _judge(case: Case, n_band: int, *, leaking: bool) -> _Judged:
         if findings:
             # What is named is no sign of a wrong model besides.
             enlargement = np.array([factors[uncertainty.source] for uncertainty in uncertainties])
-            stated = Stated(enlargement[:, None] * stated.changes, stated.at / enlargement)
+            stated = stated.enlarge(enlargement)
             assessed = assess(likely.measured, likely.model, problem, likely.estimate.values, stated=stated)
         gof = replace(estimate.gof, chi2_reduced=assessed.reduced, chi2_p=assessed.p_value)
         estimate = replace(estimate, gof=gof)

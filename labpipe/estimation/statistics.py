@@ -260,11 +260,17 @@ class Pulls:
 @dataclass(frozen=True)
 class Stated:
     """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard
-    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated.
+    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated. *by_noise* [1]: what
+    noise of the residual that is in a change as well may make of their product, (n_source,) or of all.
     """
 
     changes: FloatArray
     at: FloatArray
+    by_noise: FloatArray | float = 0.0
+
+    def enlarge(self, factors: FloatArray) -> Stated:
+        """The numbers with standard uncertainties *factors* (n_source,) [1] times as large."""
+        return Stated(factors[:, None] * self.changes, self.at / factors, self.by_noise * factors)
 
     @classmethod
     def of(cls, changes: FloatArray) -> Stated:
@@ -289,6 +295,8 @@ def pulls_of(
     by_data = np.diag(posterior @ information)
     share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
     likely = stated.at - posterior @ score
-    error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / np.where(np.isinf(share), SAYS_NOTHING**2, share))
+    known = np.where(np.isinf(share), SAYS_NOTHING**2, share)
+    error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / known)
+    error = np.hypot(error, stated.by_noise * (1 - np.minimum(known, 1.0)) / known)
     explained = float(noise * (score @ posterior @ score - stated.at @ stated.at))
     return Pulls(likely, likely / share, error, explained)

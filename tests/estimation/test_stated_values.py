@@ -231,6 +231,23 @@ def test_pulls_against_a_joint_least_squares() -> None:
         assert pulls.error[number] == pytest.approx(error)
 
 
+def test_noise_that_a_change_shares_with_the_residual_asks_for_nothing() -> None:
+    # A factor of the whole measured response, of which the parameters take all but the noise r: -r / 1000 by
+    # one standard uncertainty asks for exactly 1000 of them, which end in a response of nothing.
+    residual = np.random.default_rng(4).standard_normal(400)
+    alone = -1e-3 * residual[None]
+    slopes, inverse, at = np.zeros((400, 1)), np.eye(1), np.zeros(1)
+    pulls = pulls_of(residual, Stated(alone, at), slopes, inverse)
+    assert pulls.asked == pytest.approx([1000.0]) and np.all(pulls.far)
+    shared = np.array([1e-3 * 400])
+    assert not np.any(pulls_of(residual, Stated(alone, at, shared), slopes, inverse).far)
+    # A number that data do tell is found as far away as before.
+    told = alone + 0.5
+    moved = residual - 6 * told[0]
+    plain, aware = (pulls_of(moved, Stated(told, at, noise), slopes, inverse) for noise in (0.0, shared))
+    assert np.all(aware.far) and aware.sizes == pytest.approx(plain.sizes, rel=0.01)
+
+
 def test_without_stated_numbers_nothing_changes() -> None:
     assert (
         dataclasses.astuple(
