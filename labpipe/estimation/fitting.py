@@ -513,7 +513,8 @@ def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Fin
     phase to a force, a mass without uncertainty. *most_chi2*: chi-square [1] that a delay may leave.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
-    p_value = estimate.gof.chi2_p
+    # What stated numbers explain needs no other cause.
+    p_value = judged.estimate.gof.chi2_p
     is_rejected = not estimate.converged or (p_value is not None and p_value < diagnostics.MISMATCH_P)
     if is_rejected and (misread := diagnostics.reading_findings(case.measured, case.setup, estimate)):
         return misread
