@@ -51,7 +51,7 @@ from labpipe.project.work import fits_of, with_repeats_of
 from labpipe.quantities import QUANTITIES, to_display
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.raw_files.table import open_table
-from labpipe.records.dataset import DatasetRow, TestResult, is_accepted, rows_of_fit
+from labpipe.records.dataset import DatasetRow, TestResult, day_of, is_accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -144,10 +144,8 @@ def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
 
 def stated_day(conditions: Mapping[str, str]) -> str:
     """The day that the condition `date` states, ISO 8601; '' without one."""
-    try:
-        return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
-    except ValueError:
-        return ""
+    day = day_of(conditions.get(DATE, ""))
+    return day.isoformat() if day else ""
 
 
 def files_of(test: Test) -> list[Path]:

@@ -7,8 +7,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import date
-from itertools import compress
 
 import numpy as np
 
@@ -16,11 +14,12 @@ from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, unit_label, write_values
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import display_unit, to_display
+from labpipe.records.dataset import amount_of, day_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
 from labpipe.registry import few
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
-from labpipe.report.cover import DATES, amount_of, cover_facts
+from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
@@ -114,7 +113,7 @@ class CoefficientSeries:
             if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
                 shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
                 conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
-        days = [day for value in self.values if (day := _day(value.when)) is not None]
+        days = [day for value in self.values if (day := day_of(value.when))]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
             conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
@@ -140,15 +139,11 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
 
 
 def _series(fit: str, name: str, values: Sequence[Value]) -> CoefficientSeries:
-    pairs = [(value.parameter.value, value.parameter.full_error) for value in values]
-    amounts, errors = np.array(pairs, np.float64).T
-    counted = count_once(amounts, errors, [value.digests for value in values])
-    copies = tuple(value for value, counts in zip(values, counted, strict=True) if not counts)
-    return CoefficientSeries(fit, name, tuple(_order(list(compress(values, counted)))), copies)
-
-
-def _order(values: Sequence[Value]) -> Sequence[Value]:
-    return sorted(values, key=lambda value: value.when) if all(value.when for value in values) else values
+    amounts = [(of.parameter.value, of.parameter.full_error, of.digests) for of in values]
+    once, copies = count_once(values, amounts)
+    if all(value.when for value in once):
+        once.sort(key=lambda value: value.when)
+    return CoefficientSeries(fit, name, tuple(once), tuple(copies))
 
 
 def _label(result: str, test: str) -> str:
@@ -157,20 +152,12 @@ def _label(result: str, test: str) -> str:
 
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
     conditions = identification.test_conditions.get(listed.test, {})
-    amounts = {name: amount for name, text in conditions.items() if (amount := amount_of(text)) is not None}
+    amounts = {name: amount for name, text in conditions.items() if (amount := amount_of(text))}
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
-    when = next((text for text in dates if _day(text)), "")
+    when = next(filter(day_of, dates), "")
     label = _label(result, listed.test)
     errors = listed.random_error, listed.changes, listed.dofs
     return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.digests)
-
-
-def _day(text: str) -> date | None:
-    """The day of an ISO date such as 2026-03-02 or 2026-03-02T14:10."""
-    try:
-        return date.fromisoformat(text[:10])
-    except ValueError:
-        return None
 
 
 MOST_TOGETHER = 12
