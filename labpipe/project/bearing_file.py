@@ -13,7 +13,7 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError, locate_errors
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
-from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
+from labpipe.project.settings_reader import Faults, join, read_kind, read_settings, shorten_number
 from labpipe.quantities import UnitError, is_number, parse_value
 from labpipe.records.settings import FileKind, Setting, settings_of
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain, split_uncertainty
@@ -97,10 +97,8 @@ def taken_uncertainties(
         value, uncertainty = split_uncertainty(entry.text)
         if name in kind.bare_units and is_number(value):
             value = f"{value} {kind.bare_units[name]}"
-        try:
+        with faults.of_unit(entry, join(key, name)):
             uncertainties[join(key, name)] = parse_uncertain(f"{value} +- {uncertainty}", declared.unit)
-        except UnitError as error:
-            faults.add_unit(entry, join(key, name), error)
         node.content[name] = replace(entry, content=value, text=value)
     return uncertainties
 
@@ -108,15 +106,8 @@ def taken_uncertainties(
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
     """The kind that the entry `kind` of a bearing names. None and a fault for an unknown one."""
     entries = faults.mapping(tree, key)
-    if "kind" not in entries:
-        faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(BEARINGS.names())}")
-        return None
-    name = entries["kind"].text
-    if name not in BEARINGS.names():
-        faults.add_at(entries, key, "kind", f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
-        return None
-    kind: BearingKind = BEARINGS.load(name)
-    for entry, unit in kind.bare_units.items():
+    kind: BearingKind | None = read_kind(tree, key, BEARINGS, "bearing", faults)
+    for entry, unit in kind.bare_units.items() if kind else ():
         if entry in entries and isinstance(entries[entry].content, (int, float)):
             entries[entry].text += f" {unit}"
     return kind

@@ -6,6 +6,7 @@ import csv
 import datetime
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -51,10 +52,8 @@ def channel_uncertainties(
     """All uncertainties of a channel that are not zero; faults at their entries."""
     uncertainties: list[uncertain.ChannelUncertainty] = []
     for entry, read in READERS.items():
-        try:
+        with faults.of_unit(written.node.content.get(entry, written.node), join(key, entry)):
             uncertainties.extend(read(written))
-        except UnitError as error:
-            faults.add_unit(written.node.content.get(entry, written.node), join(key, entry), error)
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
@@ -113,6 +112,17 @@ READERS = {
 }
 
 
+@contextmanager
+def readable_result(path: Path, unreadable: str) -> Iterator[dict[str, Any]]:
+    """The entries of an identification.json; UnitError where they are not there, or not such as are read."""
+    try:
+        yield read_digested(path, "identification.json")
+    except DamagedError as error:
+        raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise UnitError(unreadable) from None
+
+
 @dataclass(frozen=True)
 class Slope:
     """Slope of a calibration fit [unit], its standard error, 0 where the fit has none, degrees of freedom."""
@@ -126,17 +136,14 @@ class Slope:
 def calibrated_slope(reference: str, folder: Path) -> Slope:
     """The slope of a calibration fit by FILE#FIT, relative to the *folder*. UnitError for none."""
     file, _, fit_name = reference.partition("#")
-    unreadable = f"'{file}' is not a readable identification.json of a calibration"
-    try:
-        entries = read_digested(folder / file, "identification.json")["fits"]
+    with readable_result(
+        folder / file, f"'{file}' is not a readable identification.json of a calibration"
+    ) as result:
+        entries = result["fits"]
         fits = [fit for fit in entries if fit["name"] == fit_name]
         pairs = [(entry, fit.get("dof")) for fit in fits for entry in fit["parameters"]]
         slopes = [_slope(entry, dof) for entry, dof in pairs if entry["name"] == "slope"]
         names = [fit["name"] for fit in entries]
-    except DamagedError as error:
-        raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UnitError(unreadable) from None
     if len(slopes) > 1:
         what = f"'{file}' holds {len(slopes)} calibration fits '{fit_name}'"
         raise UnitError(what, "one for each group; one without a group is needed")
@@ -224,13 +231,9 @@ class Certified:
 def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
     """The sensitivity of a channel by its certificate in a *folder*; None and a fault without."""
     settings = read_settings(CertificateSettings, node, key, faults)
-    if settings is None:
-        return None
-    try:
-        return _certify(settings, folder)
-    except UnitError as error:
-        faults.add_unit(node, key, error)
-        return None
+    with faults.of_unit(node, key):
+        return None if settings is None else _certify(settings, folder)
+    return None
 
 
 def _certify(settings: CertificateSettings, folder: Path) -> Certified:
