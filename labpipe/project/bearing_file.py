@@ -14,7 +14,7 @@ from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError, locate_errors
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_kind, read_settings, shorten_number
-from labpipe.quantities import UnitError, is_number, parse_value
+from labpipe.quantities import is_number, locate_units, parse_value
 from labpipe.records.settings import FileKind, Setting, settings_of
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
@@ -148,12 +148,10 @@ def parse_sweep(text: str, owner: type) -> BearingSweep:
     unit = sweepable[key].unit
     unit_of_last = unit if is_number(parts[-1]) else parts[-1].lstrip("+-.0123456789eE ")
     texts = [f"{part} {unit_of_last}" if is_number(part) else part for part in parts]
-    try:
+    with locate_units(where, before=f"{key}: "):
         start, stop, step = (parse_value(text, unit) for text in texts)
         # A step is a difference: 10 degC are 10 K.
         step -= parse_value(f"0 {unit_of_last}", unit)
-    except UnitError as error:
-        raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     if step == 0 or (stop - start) / step < 0.5:
         raise ConfigError("the step does not lead from start to stop", where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.

@@ -20,7 +20,7 @@ from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live import running_fit
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import locate_units, parse_value
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
@@ -340,10 +340,8 @@ class Goal:
 
     def half(self, parameter: Parameter) -> float:
         """The width that is asked for in the parameter's unit; ConfigError for another unit."""
-        try:
+        with locate_units(f"--until: '{self.text}'"):
             limit = parse_value(self.limit, "1" if self.limit.endswith("%") else parameter.unit)
-        except UnitError as error:
-            raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
         if limit <= 0:
             raise ConfigError(f"--until: '{self.text}': no interval is so narrow", hint="a width above zero")
         return limit * abs(parameter.value) if self.limit.endswith("%") else limit
