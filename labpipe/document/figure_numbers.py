@@ -147,7 +147,7 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
         "size": series.size,
         "hollow": series.hollow,
     }
-    if series.kind in ("area", "hspan", "vspan") or series.interval == "shaded":
+    if series.kind in ("area", "hspan") or series.interval == "shaded":
         entry["opacity"] = series.opacity
     if series.kind == "text":
         entry["texts"] = series.texts[0]
