@@ -18,9 +18,9 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import ComplexArray
-from labpipe.artefacts import json_file
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
+from labpipe.artefacts.json_file import BAD_ENTRY, DIGEST, entry_of, read_digested, record_of, write_digested
 from labpipe.errors import DataError, shorten
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
@@ -42,23 +42,21 @@ _FINDING_LISTS = {"warnings": WARNING, "remarks": NOTE}
 
 def fit_entry(fit: Fit) -> dict[str, Any]:
     """The entry of a fit, its findings as warnings and remarks."""
-    entry: dict[str, Any] = json_file.entry_of(fit)
+    entry: dict[str, Any] = entry_of(fit)
     del entry["findings"]
-    entry |= dict.fromkeys(DETAILS.names()) | {
-        detail.key: json_file.entry_of(detail) for detail in fit.details
-    }
+    entry |= dict.fromkeys(DETAILS.names()) | {detail.key: entry_of(detail) for detail in fit.details}
     return {**entry, "centre_hz": fit.centre_hz, **finding_entries(fit.findings)}
 
 
 def read_fit(entry: dict[str, Any]) -> Fit:
     """The fit of its entry."""
-    fit: Fit = json_file.record_of({**entry, "findings": findings_of(entry)}, Fit)
+    fit: Fit = record_of({**entry, "findings": findings_of(entry)}, Fit)
     kinds = ((key, DETAILS.load(key)) for key in DETAILS.names() if entry.get(key) is not None)
     return replace(
         fit,
         # Of no estimate it is an empty list.
         correlation=fit.correlation.reshape(2 * (len(fit.correlation),)),
-        details=tuple(json_file.record_of(entry[key], kind.record) for key, kind in kinds),
+        details=tuple(record_of(entry[key], kind.record) for key, kind in kinds),
     )
 
 
@@ -91,7 +89,7 @@ def _work(settings: Sequence[Any], responses: Sequence[SourceRef]) -> dict[str, 
         "schema": SCHEMA,
         "labpipe": __version__,
         "code": code_digest(),
-        "settings": [json_file.entry_of(fit) for fit in settings],
+        "settings": [entry_of(fit) for fit in settings],
         "responses": [asdict(response) for response in responses],
     }
     return json.loads(json.dumps(entry))
@@ -101,18 +99,18 @@ def write_fits(
     path: Path, fits: Sequence[Fit], settings: Sequence[Any], responses: Sequence[SourceRef]
 ) -> None:
     """Write the fits with the settings and the checksums of the responses they were made from."""
-    json_file.write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
+    write_digested(path, {**_work(settings, responses), "fits": [fit_entry(fit) for fit in fits]})
 
 
 def has_fresh_fits(path: Path, settings: Sequence[Any], responses: Sequence[SourceRef]) -> bool:
     """True if the file holds the fits of these settings and responses; DamagedError for another file."""
     if not path.exists():
         return False
-    entries = json_file.read_digested(path, "file of fits")
+    entries = read_digested(path, "file of fits")
     work = _work(settings, responses)
     if {key: entries.get(key) for key in work} != work:
         return False
-    if json_file.DIGEST not in entries:
+    if DIGEST not in entries:
         raise DamagedError("carries no digest", path)
     return True
 
@@ -125,9 +123,9 @@ def read_fits(path: Path) -> list[Fit]:
 def fits_with_digest(path: Path) -> tuple[list[Fit], str]:
     """The fits of a file that `write_fits` wrote, and its digest; DamagedError for another one."""
     try:
-        entries = json_file.read_digested(path, "file of fits")
-        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(json_file.DIGEST, ""))
-    except json_file.BAD_ENTRY as error:
+        entries = read_digested(path, "file of fits")
+        return [read_fit(entry) for entry in entries["fits"]], str(entries.get(DIGEST, ""))
+    except BAD_ENTRY as error:
         raise DamagedError(f"is not readable as fits ({shorten(str(error))})", path, AGAIN) from None
 
 
@@ -156,31 +154,28 @@ def write_identification(path: Path, identification: Identification) -> None:
         "rig": identification.rig,
         "settings": identification.settings,
         **({"failed": failed} if failed else {}),
-        **({} if identification.dataset is None else {"dataset": json_file.entry_of(identification.dataset)}),
+        **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
         "fits": [fit_entry(fit) for fit in identification.fits],
         **of_rules,
         **_found_entries(identification.outcomes),
         "responses": [_response_entry(response) for response in identification.responses],
         **({"spectra": spectra} if spectra else {}),
-        **{
-            section(name).entry: json_file.entry_of(record)
-            for name, record in identification.sections.items()
-        },
+        **{section(name).entry: entry_of(record) for name, record in identification.sections.items()},
     }
-    json_file.write_digested(path, entries)
+    write_digested(path, entries)
 
 
 def read_identification(path: Path) -> Identification:
     """The result of an identification.json; DataError for another file, or one changed since."""
     try:
-        entries = json_file.read_digested(path, NAME)
+        entries = read_digested(path, NAME)
     except FileNotFoundError:
         raise DataError("no such file", path, "run `labpipe identify` first") from None
     if entries.get("schema") not in READ_SCHEMAS:
         raise DataError(f"is not of schema {IDENTIFICATION_SCHEMA}", path)
     try:
         return _identification(_upgrade(entries))
-    except json_file.BAD_ENTRY as error:
+    except BAD_ENTRY as error:
         # Same schema, other entries: written by another version, or edited by hand.
         version = shorten(str(entries.get("labpipe", "?")))
         written = (
@@ -216,14 +211,14 @@ def _check_plain(entries: dict[str, Any]) -> None:
     """TypeError for a plain entry of another type, and for tests that are no tests."""
     for name, kind in _PLAIN.items():
         if name in entries:
-            json_file.record_of(entries[name], kind)
+            record_of(entries[name], kind)
     for reference in (*entries.get("sources", ()), *entries.get("inputs", ())):
-        json_file.record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
-    tests = json_file.record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
+        record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
+    tests = record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
     for test in tests:
-        json_file.record_of(test["name"], str)
+        record_of(test["name"], str)
     for test in (*tests, *entries.get("responses", ()), *entries.get("spectra", ())):
-        for condition in json_file.record_of(test["conditions"], Mapping[str, Any]).values():
+        for condition in record_of(test["conditions"], Mapping[str, Any]).values():
             if not isinstance(condition, (str, int, float)):
                 raise TypeError(f"{shorten(repr(condition))} is not a condition")
 
@@ -245,8 +240,8 @@ def _identification(entries: dict[str, Any]) -> Identification:
         failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
         inputs=tuple(entries.get("inputs", [])),
         code=entries.get("code", ""),
-        digest=entries.get(json_file.DIGEST, ""),
-        dataset=json_file.record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
+        digest=entries.get(DIGEST, ""),
+        dataset=record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
         sections=_records(entries),
     )
 
@@ -254,7 +249,7 @@ def _identification(entries: dict[str, Any]) -> Identification:
 # What every result has; other keys are those of sections, which are loaded only then.
 _WITHOUT_SECTIONS = {
     "schema", "labpipe", "title", "pipeline", "sources", "settings", "rig", "responses", "spectra", "fits",
-    "accept", "expect", "found", "failed", "inputs", "code", "dataset", json_file.DIGEST,
+    "accept", "expect", "found", "failed", "inputs", "code", "dataset", DIGEST,
 }  # fmt: skip
 
 
@@ -262,12 +257,12 @@ def _records(entries: dict[str, Any]) -> dict[str, Any]:
     if set(entries) <= _WITHOUT_SECTIONS:
         return {}
     there = ((name, part) for name, part in sections() if part.entry in entries)
-    return {name: json_file.record_of(entries[part.entry], part.record) for name, part in there}
+    return {name: record_of(entries[part.entry], part.record) for name, part in there}
 
 
 def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
     entry = {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
-    return entry if outcome.decision is None else {**entry, **json_file.entry_of(outcome.decision)}
+    return entry if outcome.decision is None else {**entry, **entry_of(outcome.decision)}
 
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
@@ -283,8 +278,8 @@ def _outcomes(entries: dict[str, Any], key: str) -> list[RuleOutcome]:
     rules, outcomes = entries.get(key, []), []
     texts = entries.get("found", {}).get(key) or [""] * len(rules)
     for entry, shown in zip(rules, texts, strict=True):
-        decision = json_file.record_of(entry, RuleDecision) if "outcome" in entry else None
-        outcome = json_file.record_of({**entry, "section": key, "shown": shown}, RuleOutcome)
+        decision = record_of(entry, RuleDecision) if "outcome" in entry else None
+        outcome = record_of({**entry, "section": key, "shown": shown}, RuleOutcome)
         outcomes.append(replace(outcome, decision=decision))
     return outcomes
 
@@ -304,10 +299,10 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
         "outputs": [asdict(port) for port in response.outputs],
         "inputs": [asdict(port) for port in response.inputs],
         "frequency_hz": response.frequency.tolist(),
-        "matrix": json_file.entry_of(response.matrix),
+        "matrix": entry_of(response.matrix),
         "variance": None if variance is None else variance.tolist(),
         **{name: None if values is None else values.tolist() for name, values in optional.items()},
-        **({} if response.open_loop is None else {"open_loop": json_file.entry_of(response.open_loop)}),
+        **({} if response.open_loop is None else {"open_loop": entry_of(response.open_loop)}),
         "snr_channels": list(response.snr_channels),
         "averages": response.averages,
         "covariance_dof": response.covariance_dof,
@@ -317,7 +312,7 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
 
 
 def _response(entry: dict[str, Any]) -> FrequencyResponse:
-    matrix: ComplexArray = json_file.record_of(entry["matrix"], ComplexArray)
+    matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
     variance = entry["variance"]
     dof = entry["covariance_dof"]
     optional: dict[str, Any] = {
@@ -334,12 +329,12 @@ def _response(entry: dict[str, Any]) -> FrequencyResponse:
         if variance is None
         else BlockCovariance.from_variance(np.array(variance, np.float64)),
         **optional,
-        open_loop=json_file.record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
+        open_loop=record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
         snr_channels=tuple(entry["snr_channels"]),
         averages=entry["averages"],
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=json_file.record_of(findings_of(entry), tuple[Finding, ...]),
+        findings=record_of(findings_of(entry), tuple[Finding, ...]),
         conditions=entry["conditions"],
     )
 
@@ -353,7 +348,7 @@ def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
         "channels": [asdict(channel) for channel in spectra.channels],
         "runs": list(spectra.runs),
         "frequency_hz": spectra.frequency.tolist(),
-        "vectors": json_file.entry_of(spectra.vectors),
+        "vectors": entry_of(spectra.vectors),
         "variance": np.einsum("lrcc->lrc", spectra.covariance).real.tolist(),
         "covariance_dof": spectra.covariance_dof,
         "conditions": spectra.conditions,
@@ -366,12 +361,12 @@ def _spectra(entry: dict[str, Any]) -> ChannelSpectra:
     dof = entry["covariance_dof"]
     return ChannelSpectra(
         frequency=np.array(entry["frequency_hz"], np.float64),
-        vectors=json_file.record_of(entry["vectors"], ComplexArray),
+        vectors=record_of(entry["vectors"], ComplexArray),
         covariance=np.asarray(variance[..., None] * np.eye(variance.shape[-1]), np.complex128),
         channels=tuple(Channel(**channel) for channel in entry["channels"]),
         runs=tuple(entry["runs"]),
         covariance_dof=math.inf if dof is None else dof,
         name=entry["test"],
-        findings=json_file.record_of(findings_of(entry), tuple[Finding, ...]),
+        findings=record_of(findings_of(entry), tuple[Finding, ...]),
         conditions=entry["conditions"],
     )

@@ -45,7 +45,7 @@ from labpipe.project.signing import (
     signatures,
     signed_files,
 )
-from labpipe.project.verification import Verified, differences, pipeline_folder, verify_artefacts
+from labpipe.project.verification import differences, pipeline_folder, verify_artefacts
 
 
 @click.command()
@@ -94,7 +94,13 @@ def archive(
         what = "is of a watch, whose recordings came one by one: no pipeline gives it again"
         hint = "run `labpipe run` over them, `each: FOLDER/*`, and archive its results"
         raise DataError(what, folder / NAME, hint)
-    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, result.pipeline))
+    if pipeline_path is None:
+        home = pipeline_folder(folder)
+        if home is None:
+            what = f"no pipeline '{result.pipeline}' is in or above the results"
+            raise ConfigError(what, folder, "name it with -c PIPELINE")
+        pipeline_path = home / result.pipeline
+    pipeline = load_pipeline(pipeline_path)
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
         pack(packed, output, day or change_day(folder / NAME))
@@ -105,14 +111,6 @@ def archive(
     echo(f"written: {output}, {len(kept)} files" + (f"; of {others} more the digests" if others else ""))
     for path in packed.left_out:
         echo(f"left out: {path}, which does not belong to this result")
-
-
-def _pipeline_of(folder: Path, name: str) -> Path:
-    home = pipeline_folder(folder)
-    if home is None:
-        what = f"no pipeline '{name}' is in or above the results"
-        raise ConfigError(what, folder, "name it with -c PIPELINE")
-    return home / name
 
 
 def _day(text: str | None) -> str:
@@ -285,7 +283,12 @@ class Manners:
 def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
     artefacts = list(verify_artefacts(here, None if pipeline_path is None else pipeline_path.parent))
     for artefact in artefacts:
-        _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
+        place = f"{name}/{artefact.path.relative_to(here).as_posix()}"
+        for fault in artefact.faults:
+            echo(f"FAILED {place}: {fault}")
+        for remark in artefact.remarks:
+            if how.verbose or remark == "carries no digest":
+                echo(f"note   {place}: {remark}")
     faults = sum(bool(artefact.faults) for artefact in artefacts)
     if how.again and pipeline_path is not None:
         others = _done_again(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
@@ -341,14 +344,6 @@ def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
         with output_folder(Path(scratch) / "out") as output:
             run(pipeline, output, manner(True, False, jobs, None))
         return differences(folder, Path(scratch) / "out")
-
-
-def _echo(artefact: Verified, name: str, verbose: bool) -> None:
-    for fault in artefact.faults:
-        echo(f"FAILED {name}: {fault}")
-    for remark in artefact.remarks:
-        if verbose or remark == "carries no digest":
-            echo(f"note   {name}: {remark}")
 
 
 # The password of a key, where nobody is there to type it.

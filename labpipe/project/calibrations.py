@@ -18,8 +18,15 @@ from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.certificate import FREQUENCY, CertifiedQuantity, read_certificate
-from labpipe.records import uncertain
 from labpipe.records.settings import Settings, Uncertainties, setting, text
+from labpipe.records.uncertain import (
+    ChannelUncertainty,
+    Uncertain,
+    Uncertainty,
+    parse_uncertain,
+    split_uncertainty,
+    uncertainty_of,
+)
 from labpipe.registry import nearest
 
 
@@ -43,64 +50,58 @@ class Written:
     dof: str
     uncertainties: Uncertainties
     chain: ChainUncertaintySettings | None
-    certified: tuple[uncertain.ChannelUncertainty, ...] = ()
+    certified: tuple[ChannelUncertainty, ...] = ()
 
 
-def channel_uncertainties(
-    written: Written, key: str, faults: Faults
-) -> tuple[uncertain.ChannelUncertainty, ...]:
+def channel_uncertainties(written: Written, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    uncertainties: list[uncertain.ChannelUncertainty] = []
+    uncertainties: list[ChannelUncertainty] = []
     for entry, read in READERS.items():
         with faults.of_unit(written.node.content.get(entry, written.node), join(key, entry)):
             uncertainties.extend(read(written))
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _sensitivity_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _sensitivity_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     yield from written.certified
-    text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
+    text, uncertainty = split_uncertainty(written.sensitivity)
     if "#" in text:
         slope = calibrated_slope(text, written.node.folder_of("sensitivity"))
         # All channels with this slope have its error.
         source, size = f"sensitivity {text}", abs(slope.std_error / slope.value)
-        yield uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, size, "1", slope.dof))
+        yield ChannelUncertainty("gain", Uncertainty(source, size, "1", slope.dof))
     if uncertainty:
         yield _channel_uncertainty(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
 
-def _channel_uncertainty(
-    written: Written, effect: str, number: uncertain.Uncertain, source: str
-) -> uncertain.ChannelUncertainty:
+def _channel_uncertainty(written: Written, effect: str, number: Uncertain, source: str) -> ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
-    uncertainty = uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
-    return uncertain.ChannelUncertainty(effect, uncertainty)
+    uncertainty = uncertainty_of(number, f"{written.name}.{source}", unit)
+    return ChannelUncertainty(effect, uncertainty)
 
 
-def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
+def _relative(text: str, uncertainty: str) -> Uncertain:
     value, _, unit = text.strip().partition(" ")
-    number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
+    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
     return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
 
 
-def _delay_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _delay_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     if (number := dict(written.uncertainties).get("delay")) is not None:
         yield _channel_uncertainty(written, "delay", number, f"delay {1e6 * number.value:g} us")
 
 
-def _direction_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    text, uncertainty = uncertain.split_uncertainty(written.dof)
+def _direction_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
+    text, uncertainty = split_uncertainty(written.dof)
     if uncertainty:
-        number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
+        number = parse_uncertain(f"0 rad +- {uncertainty}", "rad")
         yield _channel_uncertainty(written, "direction", number, f"dof {text}")
 
 
-def _chain_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _chain_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
         if size := getattr(written.chain, effect, ""):
-            yield _channel_uncertainty(
-                written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect
-            )
+            yield _channel_uncertainty(written, effect, parse_uncertain(f"{number} +- {size}", unit), effect)
 
 
 # What reads the uncertainties of an entry.
@@ -224,7 +225,7 @@ class Certified:
     """
 
     text: str
-    uncertainties: tuple[uncertain.ChannelUncertainty, ...]
+    uncertainties: tuple[ChannelUncertainty, ...]
     response: tuple[tuple[float, float, float], ...] = ()
 
 
@@ -254,7 +255,7 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         raise UnitError(f"{named} states a sensitivity of zero")
     source = f"certificate {certificate.number}"
     relative = max(u / abs(value) for u, value in zip(stated.std_errors, stated.values, strict=True))
-    gain = uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, relative, "1"))
+    gain = ChannelUncertainty("gain", Uncertainty(source, relative, "1"))
     if not settings.over:
         if len(stated.values) > 1:
             hint = f"over: {FREQUENCY}, at: 80 Hz"
@@ -270,8 +271,8 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         if phases.std_errors is None:
             raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
         error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
-        of_phase = uncertain.Uncertainty(f"{source}, phase", error, "rad")
-        uncertainties.append(uncertain.ChannelUncertainty("phase", of_phase))
+        of_phase = Uncertainty(f"{source}, phase", error, "rad")
+        uncertainties.append(ChannelUncertainty("phase", of_phase))
     return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
 
 
