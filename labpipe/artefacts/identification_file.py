@@ -7,33 +7,32 @@ read as well.
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labpipe import __version__
-from labpipe.arrays import ComplexArray
+from labpipe.arrays import FloatArray
 from labpipe.artefacts.digest import AGAIN, DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
-from labpipe.artefacts.json_file import BAD_ENTRY, DIGEST, entry_of, read_digested, record_of, write_digested
+from labpipe.artefacts.json_file import (
+    BAD_ENTRY,
+    DIGEST,
+    entry_of,
+    named_entries,
+    read_digested,
+    record_of,
+    values_of,
+    write_digested,
+)
 from labpipe.errors import DataError, shorten
 from labpipe.records.finding import NOTE, WARNING, Finding, of_level
 from labpipe.records.fit_details import DETAILS
-from labpipe.records.identification import (
-    DatasetIndex,
-    Failed,
-    Fit,
-    Identification,
-    RuleDecision,
-    RuleOutcome,
-)
-from labpipe.records.recording import Channel
-from labpipe.records.response import BlockCovariance, FrequencyResponse, Port
+from labpipe.records.identification import Fit, Identification, RuleDecision, RuleOutcome
+from labpipe.records.response import BlockCovariance, FrequencyResponse
 from labpipe.records.sections import section, sections
 from labpipe.records.spectra import ChannelSpectra
 
@@ -63,7 +62,7 @@ def read_fit(entry: dict[str, Any]) -> Fit:
 def finding_entries(findings: tuple[Finding, ...]) -> dict[str, list[dict[str, str]]]:
     """Warnings and notes, separately."""
     return {
-        name: [{"code": finding.code, "message": finding.message} for finding in of_level(level, findings)]
+        name: [named_entries(finding, "code", "message") for finding in of_level(level, findings)]
         for name, level in _FINDING_LISTS.items()
     }
 
@@ -85,14 +84,8 @@ FOLDER = "fits"
 
 def _work(settings: Sequence[Any], responses: Sequence[SourceRef]) -> dict[str, Any]:
     """What the fits depend on: equal work gives equal fits."""
-    entry = {
-        "schema": SCHEMA,
-        "labpipe": __version__,
-        "code": code_digest(),
-        "settings": [entry_of(fit) for fit in settings],
-        "responses": [asdict(response) for response in responses],
-    }
-    return json.loads(json.dumps(entry))
+    made_by = {"schema": SCHEMA, "labpipe": __version__, "code": code_digest()}
+    return {**made_by, "settings": entry_of(list(settings)), "responses": entry_of(list(responses))}
 
 
 def write_fits(
@@ -134,27 +127,22 @@ IDENTIFICATION_SCHEMA = "labpipe/identification/2"
 SCHEMA_OF_MANY = "labpipe/identification/3"
 READ_SCHEMAS = ("labpipe/identification/1", IDENTIFICATION_SCHEMA, SCHEMA_OF_MANY)
 NAME = "identification.json"
+# Fields of every result that its file holds as they are.
+_ALWAYS = ("code", "title", "pipeline", "sources", "inputs", "rig", "settings")
 
 
 def write_identification(path: Path, identification: Identification) -> None:
     """Write the result."""
-    failed = [asdict(failed) for failed in identification.failed]
+    some = (name for name in ("failed", "dataset") if getattr(identification, name))
     spectra = [_spectra_entry(spectra) for spectra in identification.spectra]
     of_rules: dict[str, list[dict[str, Any]]] = {"accept": [], "expect": []}
     for outcome in identification.outcomes:
-        of_rules[outcome.section].append(_outcome_entry(outcome))
+        decided = entry_of(outcome.decision) or {}
+        of_rules[outcome.section].append(named_entries(outcome, "rule", "value", "passed") | decided)
     entries = {
         "schema": IDENTIFICATION_SCHEMA if identification.dataset is None else SCHEMA_OF_MANY,
         "labpipe": __version__,
-        "code": identification.code,
-        "title": identification.title,
-        "pipeline": identification.pipeline,
-        "sources": list(identification.sources),
-        "inputs": list(identification.inputs),
-        "rig": identification.rig,
-        "settings": identification.settings,
-        **({"failed": failed} if failed else {}),
-        **({} if identification.dataset is None else {"dataset": entry_of(identification.dataset)}),
+        **named_entries(identification, *_ALWAYS, *some),
         "fits": [fit_entry(fit) for fit in identification.fits],
         **of_rules,
         **_found_entries(identification.outcomes),
@@ -198,22 +186,10 @@ def _upgrade(entries: dict[str, Any]) -> dict[str, Any]:
     return {**{name: entry for name, entry in entries.items() if entry != []}, "fits": fits}
 
 
-_REFERENCES = tuple[Mapping[str, str], ...]
-# Entries that are kept as they are, by the type that readers rely on.
-_PLAIN: dict[str, Any] = {
-    "title": str, "pipeline": str, "labpipe": str, "code": str, "settings": Mapping[str, Any],
-    "rig": Mapping[str, Any],
-    "sources": _REFERENCES, "inputs": _REFERENCES, "found": Mapping[str, tuple[str, ...]],
-}  # fmt: skip
-
-
 def _check_plain(entries: dict[str, Any]) -> None:
-    """TypeError for a plain entry of another type, and for tests that are no tests."""
-    for name, kind in _PLAIN.items():
-        if name in entries:
-            record_of(entries[name], kind)
+    """TypeError for files and tests that are none."""
     for reference in (*entries.get("sources", ()), *entries.get("inputs", ())):
-        record_of({"path": reference["path"], "sha256": reference["sha256"]}, Mapping[str, str])
+        record_of(reference, SourceRef)
     tests = record_of(entries.get("settings", {}).get("tests", []), tuple[Mapping[str, Any], ...])
     for test in tests:
         record_of(test["name"], str)
@@ -226,22 +202,14 @@ def _check_plain(entries: dict[str, Any]) -> None:
 def _identification(entries: dict[str, Any]) -> Identification:
     _check_plain(entries)
     outcomes = [outcome for key in ("accept", "expect") for outcome in _outcomes(entries, key)]
+    there = (name for name in (*_ALWAYS, "failed", "dataset", DIGEST) if name in entries)
     return Identification(
         fits=tuple(read_fit(entry) for entry in entries["fits"]),
-        title=entries["title"],
-        pipeline=entries["pipeline"],
-        sources=tuple(entries["sources"]),
-        settings=entries.get("settings", {}),
-        rig=entries.get("rig", {}),
+        **values_of({name: entries[name] for name in there}, Identification),
         responses=tuple(_response(entry) for entry in entries.get("responses", [])),
         spectra=tuple(_spectra(entry) for entry in entries.get("spectra", [])),
         outcomes=tuple(outcomes),
-        version=entries["labpipe"],
-        failed=tuple(Failed(**entry) for entry in entries.get("failed", [])),
-        inputs=tuple(entries.get("inputs", [])),
-        code=entries.get("code", ""),
-        digest=entries.get(DIGEST, ""),
-        dataset=record_of(entries["dataset"], DatasetIndex) if "dataset" in entries else None,
+        version=record_of(entries["labpipe"], str),
         sections=_records(entries),
     )
 
@@ -258,11 +226,6 @@ def _records(entries: dict[str, Any]) -> dict[str, Any]:
         return {}
     there = ((name, part) for name, part in sections() if part.entry in entries)
     return {name: record_of(entries[part.entry], part.record) for name, part in there}
-
-
-def _outcome_entry(outcome: RuleOutcome) -> dict[str, Any]:
-    entry = {"rule": outcome.rule, "value": outcome.value, "passed": outcome.passed}
-    return entry if outcome.decision is None else {**entry, **entry_of(outcome.decision)}
 
 
 def _found_entries(outcomes: Sequence[RuleOutcome]) -> dict[str, Any]:
@@ -291,52 +254,33 @@ def _response_entry(response: FrequencyResponse) -> dict[str, Any]:
     """The response for reading and plotting: its variance, not the whole covariance (that stays in the FRF
     file).
     """
-    variance = response.variance
-    optional = {name: getattr(response, name) for name in _OPTIONAL_ARRAYS}
     return {
         "test": response.name,
-        "form": response.form,
-        "outputs": [asdict(port) for port in response.outputs],
-        "inputs": [asdict(port) for port in response.inputs],
-        "frequency_hz": response.frequency.tolist(),
-        "matrix": entry_of(response.matrix),
-        "variance": None if variance is None else variance.tolist(),
-        **{name: None if values is None else values.tolist() for name, values in optional.items()},
-        **({} if response.open_loop is None else {"open_loop": entry_of(response.open_loop)}),
-        "snr_channels": list(response.snr_channels),
-        "averages": response.averages,
-        "covariance_dof": response.covariance_dof,
-        "conditions": response.conditions,
+        **named_entries(response, "form", "outputs", "inputs"),
+        "frequency_hz": entry_of(response.frequency),
+        **named_entries(response, "matrix", "variance", *_OPTIONAL_ARRAYS),
+        **({} if response.open_loop is None else named_entries(response, "open_loop")),
+        **named_entries(response, "snr_channels", "averages", "covariance_dof", "conditions"),
         **finding_entries(response.findings),
     }
 
 
 def _response(entry: dict[str, Any]) -> FrequencyResponse:
-    matrix: ComplexArray = record_of(entry["matrix"], ComplexArray)
-    variance = entry["variance"]
-    dof = entry["covariance_dof"]
-    optional: dict[str, Any] = {
-        name: None if entry.get(name) is None else np.array(entry[name], np.float64)
-        for name in _OPTIONAL_ARRAYS
-    }
-    return FrequencyResponse(
-        frequency=np.array(entry["frequency_hz"], np.float64),
-        matrix=matrix,
-        outputs=tuple(Port(**port) for port in entry["outputs"]),
-        inputs=tuple(Port(**port) for port in entry["inputs"]),
-        form=entry["form"],
-        covariance=None
-        if variance is None
-        else BlockCovariance.from_variance(np.array(variance, np.float64)),
-        **optional,
-        open_loop=record_of(entry["open_loop"], ComplexArray) if "open_loop" in entry else None,
-        snr_channels=tuple(entry["snr_channels"]),
-        averages=entry["averages"],
-        covariance_dof=math.inf if dof is None else dof,
-        name=entry["test"],
-        findings=record_of(findings_of(entry), tuple[Finding, ...]),
-        conditions=entry["conditions"],
-    )
+    names = ("form", "outputs", "inputs", "matrix", "snr_channels", "averages", *_COMMON)
+    given = _choose(entry, *names) | {name: entry.get(name) for name in (*_OPTIONAL_ARRAYS, "open_loop")}
+    covariance = None
+    if entry["variance"] is not None:
+        covariance = BlockCovariance.from_variance(record_of(entry["variance"], FloatArray))
+    return FrequencyResponse(**values_of(given, FrequencyResponse), covariance=covariance)
+
+
+_COMMON = ("covariance_dof", "conditions")
+
+
+def _choose(entry: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Entries under the *names* of their fields, with those that are called otherwise in the file."""
+    called = {"name": entry["test"], "frequency": entry["frequency_hz"], "findings": findings_of(entry)}
+    return {**{name: entry[name] for name in names}, **called}
 
 
 def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
@@ -345,28 +289,17 @@ def _spectra_entry(spectra: ChannelSpectra) -> dict[str, Any]:
     """
     return {
         "test": spectra.name,
-        "channels": [asdict(channel) for channel in spectra.channels],
-        "runs": list(spectra.runs),
-        "frequency_hz": spectra.frequency.tolist(),
+        **named_entries(spectra, "channels", "runs"),
+        "frequency_hz": entry_of(spectra.frequency),
         "vectors": entry_of(spectra.vectors),
         "variance": np.einsum("lrcc->lrc", spectra.covariance).real.tolist(),
-        "covariance_dof": spectra.covariance_dof,
-        "conditions": spectra.conditions,
+        **named_entries(spectra, *_COMMON),
         **finding_entries(spectra.findings),
     }
 
 
 def _spectra(entry: dict[str, Any]) -> ChannelSpectra:
     variance = np.array(entry["variance"], np.float64)
-    dof = entry["covariance_dof"]
-    return ChannelSpectra(
-        frequency=np.array(entry["frequency_hz"], np.float64),
-        vectors=record_of(entry["vectors"], ComplexArray),
-        covariance=np.asarray(variance[..., None] * np.eye(variance.shape[-1]), np.complex128),
-        channels=tuple(Channel(**channel) for channel in entry["channels"]),
-        runs=tuple(entry["runs"]),
-        covariance_dof=math.inf if dof is None else dof,
-        name=entry["test"],
-        findings=record_of(findings_of(entry), tuple[Finding, ...]),
-        conditions=entry["conditions"],
-    )
+    covariance = np.asarray(variance[..., None] * np.eye(variance.shape[-1]), np.complex128)
+    given = values_of(_choose(entry, "channels", "runs", "vectors", *_COMMON), ChannelSpectra)
+    return ChannelSpectra(**given, covariance=covariance)

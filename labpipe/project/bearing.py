@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.json_file import without_nan
+from labpipe.artefacts.json_file import named_entries, without_nan
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties, bearing_uncertainties
 from labpipe.project.bearing_file import BearingFile, BearingSweep, setting_at
@@ -160,12 +160,10 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
         "labpipe": __version__,
         "kind": file.kind_name,
         "name": name,
-        "dofs": list(coefficients.dofs),
-        "stiffness": coefficients.stiffness.tolist(),
-        "damping": coefficients.damping.tolist(),
+        **named_entries(coefficients, "dofs", "stiffness", "damping"),
         "equilibrium": equilibrium,
         "model": _values(coefficients.notes) | dict(coefficients.words),
-        "warnings": [{"code": finding.code, "message": finding.message} for finding in coefficients.findings],
+        "warnings": [named_entries(finding, "code", "message") for finding in coefficients.findings],
     }
     if coefficients.shares:
         entry["shares"] = _values(coefficients.shares)
@@ -198,9 +196,7 @@ def _uncertainty_entry(
         "equilibrium": dict(zip(names, uncertainties.error("rest").tolist(), strict=True)),
         "sources": [
             {
-                "source": source.source,
-                "std_error": source.std_error,
-                "unit": source.unit,
+                **named_entries(source, "source", "std_error", "unit"),
                 "stiffness": stiffness.tolist(),
                 "damping": damping.tolist(),
                 "equilibrium": dict(zip(names, rest.tolist(), strict=True)),

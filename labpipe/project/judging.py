@@ -88,13 +88,9 @@ def judge(
         except ConfigError:
             if not incomplete:
                 raise
-            outcomes.append(missing_outcome(rule))
+            # It addresses what an incomplete result does not have.
+            outcomes.append(rule.outcome(None, False))
     return (*outcomes, *forbidden(rules, fits))
-
-
-def missing_outcome(rule: Rule) -> RuleOutcome:
-    """The failed outcome of a rule that addresses what an incomplete result does not have."""
-    return rule.outcome(None, False)
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:

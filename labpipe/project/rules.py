@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -13,7 +13,7 @@ from typing import Any
 from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.settings_reader import Faults, join, list_entries
-from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
+from labpipe.quantities import locate_units, parse_unit, parse_value, written_unit
 from labpipe.records.identification import RuleDecision, RuleOutcome
 from labpipe.records.uncertain import qualities_of, split_uncertainty
 from labpipe.registry import nearest
@@ -96,13 +96,9 @@ class Rule:
         """What is wrong with the rule, at its place."""
         return ConfigError(f"{self.section}.{self.address}: {what}", self.place, hint)
 
-    @contextmanager
-    def faults_of_units(self) -> Iterator[None]:
+    def faults_of_units(self) -> AbstractContextManager[None]:
         """A UnitError of the block becomes a fault of the rule."""
-        try:
-            yield
-        except UnitError as error:
-            raise self.fault(error.what, error.hint) from None
+        return locate_units(self.place, before=f"{self.section}.{self.address}: ")
 
     def outcome(
         self, value: float | str | None, passed: bool, shown: str = "", decision: RuleDecision | None = None

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.json_file import named_entries
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
@@ -429,9 +430,7 @@ class Update:
         parameters, remaining = {}, {}
         for name, standing in self.standings.items():
             parameter = standing.parameter
-            parameters[name] = {
-                key: getattr(parameter, key) for key in ("value", "unit", "std_error", "ci95")
-            }
+            parameters[name] = named_entries(parameter, "value", "unit", "std_error", "ci95")
             if standing.goal is not None:
                 parameters[name]["goal"] = standing.goal
             if standing.remaining is not None:
@@ -441,9 +440,8 @@ class Update:
         return {
             "averages": self.averages,
             "parameters": parameters,
-            "findings": [{"code": f.code, "message": f.message} for f in self.findings],
-            "events": list(self.events),
-            "levels": dict(self.levels),
+            "findings": [named_entries(finding, "code", "message") for finding in self.findings],
+            **named_entries(self, "events", "levels"),
             "remaining": remaining,
             "stop": self.stop,
         }
