@@ -187,9 +187,12 @@ def _values(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[
             kept = names_meant(column, pattern, names)
             holds.append(pc.is_in(table[column], pa.array(kept, pa.string())))
     table = table.filter(reduce(pc.and_, holds))
+    conditions = list(dataset_file.columns_of_conditions(table.column_names))
     if same:
         table = table.sort_by([("date", "ascending"), ("test", "ascending")])
-    conditions = dataset_file.columns_of_conditions(table.column_names)
+    else:
+        # Single results state them in many orders.
+        conditions.sort()
     amounts = {condition: _amounts(table, condition) for condition in conditions}
     rows = (value_row({**row, **same}, amounts) for row in table.to_pylist())
     return [row for row in rows if criteria.covers(row.date)]
