@@ -326,7 +326,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         if reader.rig is None and not len(reader.faults):
             raise ConfigError("no rig file is named", path, "add rig: FILE")
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
-        return (Test("", source, frf=per_file[0].frf),)
+        return (Test("", source, frf=per_file[0].common.frf),)
 
     return replace(_load(path, overrides, imagine_tests), tests=()), per_file[0]
 

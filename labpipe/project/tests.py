@@ -256,13 +256,10 @@ class Test:
 
 @dataclass(frozen=True)
 class EachFile:
-    """What a file becomes that is a test: common conditions, and those in its name by the *pattern*."""
+    """What a file becomes that is a test: what is *common* to all, and its name by the *pattern*."""
 
-    conditions: dict[str, str] = field(default_factory=dict)
-    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: FrfSettings | None = None
+    common: Test = Test("")
     pattern: str = ""
-    repeats: str = ""
 
     def conditions_in_name(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
@@ -274,8 +271,8 @@ class EachFile:
         if self.pattern and conditions_in(stem, self.pattern) is None:
             where, hint = f"pattern '{self.pattern}'", "for example '{preload}-{direction}'"
             raise ConfigError(f"does not match '{stem}'", where, hint)
-        conditions = {**self.conditions, **self.conditions_in_name(source.path)}
-        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
+        conditions = {**self.common.conditions, **self.conditions_in_name(source.path)}
+        return replace(self.common, name=name or stem, recordings=(source,), conditions=conditions)
 
 
 @dataclass(frozen=True)
@@ -344,7 +341,8 @@ class TestReader:
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
                 self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
-        return EachFile(common, recorded, self._frf(entries, key), pattern, self._repeats(entries, key))
+        frf, repeats = self._frf(entries, key), self._repeats(entries, key)
+        return EachFile(Test("", (), (), common, recorded, frf, repeats), pattern)
 
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
