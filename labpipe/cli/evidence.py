@@ -12,8 +12,6 @@ from pathlib import Path
 
 import click
 
-from labpipe import __version__
-from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import everything, read_results
 from labpipe.artefacts.writing import is_remote, output_folder, show
@@ -21,16 +19,7 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import (
-    RESULTS,
-    Unpacked,
-    changed_since,
-    check_output,
-    contents,
-    is_archive,
-    pack,
-    unpack,
-)
+from labpipe.project.archive import RESULTS, changed_since, check_output, contents, is_archive, pack, unpack
 from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
@@ -316,7 +305,7 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         if archive.faults:
             return 1
         try:
-            hindrance = "" if how.again else _hindrance(archive)
+            hindrance = "" if how.again else archive.hindrance()
             named = pipeline_path or archive.pipeline
             how = replace(how, again=not hindrance)
             code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, how)
@@ -329,14 +318,6 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
             again = "run again: " + ("other bytes" if code else "the same bytes")
             echo(f"not run again: {hindrance}" if hindrance else again)
         return code
-
-
-def _hindrance(archive: Unpacked) -> str:
-    if archive.left_out:
-        return f"of {archive.left_out} files the archive holds only the digests"
-    result = read_identification(archive.results / NAME)
-    other = f"it was made by another build of labpipe ({result.version or 'unknown'}); this is {__version__}"
-    return "" if result.code == code_digest() else other
 
 
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:

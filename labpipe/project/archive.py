@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from labpipe import __version__
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME as IDENTIFICATION, read_identification
@@ -366,6 +367,14 @@ class Unpacked:
     files: int
     left_out: int
     faults: tuple[tuple[str, str], ...]
+
+    def hindrance(self) -> str:
+        """Why the pipeline would not give the same bytes again; empty where it would."""
+        if self.left_out:
+            return f"of {self.left_out} files the archive holds only the digests"
+        result = read_identification(self.results / IDENTIFICATION)
+        build = f"another build of labpipe ({result.version or 'unknown'}); this is {__version__}"
+        return "" if result.code == code_digest() else f"it was made by {build}"
 
 
 def unpack(path: Path, folder: Path) -> Unpacked:
