@@ -10,8 +10,12 @@ import difflib
 import functools
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import PurePath
+
+from labpipe.errors import ConfigError, LabpipeError
 
 # A dimension is the tuple of exponents of (m, kg, s, A, K, rad). The angle is kept apart from the pure number
 # so that "45 deg" is refused where "0.5" is meant; Hz counts revolutions or periods, rad/s counts angle.
@@ -27,6 +31,17 @@ class UnitError(ValueError):
         super().__init__(what)
         self.what = what
         self.hint = hint
+
+
+@contextmanager
+def locate_units(
+    where: str | PurePath, kind: type[LabpipeError] = ConfigError, before: str = ""
+) -> Iterator[None]:
+    """A UnitError from within is an error of that *kind* at *where*, *before* ahead of its words."""
+    try:
+        yield
+    except UnitError as error:
+        raise kind(f"{before}{error.what}", where, error.hint) from None
 
 
 @dataclass(frozen=True)

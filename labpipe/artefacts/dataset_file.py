@@ -28,7 +28,6 @@ from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, plain, record_of
 from labpipe.artefacts.writing import OutputFolder, without_staging
 from labpipe.errors import DataError
-from labpipe.quantities import UnitError, si_amount
 from labpipe.records import dataset
 
 FOLDER = "dataset"
@@ -76,7 +75,7 @@ def _write_part(rig: str, date: str, results: Sequence[dataset.TestResult], outp
     summary = entry_of(dataset.sum_summaries(dataset.summary_of(result) for result in results))
     contents = {"summary": json.loads(json.dumps(summary, default=plain))}
     header = Header(KIND, {"schema": SCHEMA}, inputs=(), contents=contents)
-    table = _table([row for result in results for row in result.rows])
+    table = table_of([row for result in results for row in result.rows])
     table = table.replace_schema_metadata(parquet.metadata_of(header))
     stream = pa.BufferOutputStream()
     pq.write_table(table, stream, compression="zstd", write_page_checksum=True)
@@ -97,7 +96,8 @@ def read_summary(part: DatasetPart) -> dataset.DatasetSummary:
     return summary
 
 
-def _table(rows: Sequence[dataset.DatasetRow]) -> pa.Table:
+def table_of(rows: Sequence[dataset.DatasetRow]) -> pa.Table:
+    """Rows as the columns of a part, without those that its folders say."""
     columns = {
         name: pa.array((_cell(row, name) for row in rows), _TYPES.get(name, pa.float64())) for name in COLUMNS
     }
@@ -105,23 +105,15 @@ def _table(rows: Sequence[dataset.DatasetRow]) -> pa.Table:
     for name in conditions:
         texts = [row.conditions.get(name) for row in rows]
         columns[CONDITION + name] = pa.array(texts, pa.string())
-        amounts = [None if text is None else amount_of(text)[0] for text in texts]
-        if any(amount is not None for amount in amounts):
-            columns[AMOUNT + name] = pa.array(amounts, pa.float64())
+        amounts = [None if text is None else dataset.amount_of(text) for text in texts]
+        if any(amounts):
+            columns[AMOUNT + name] = pa.array((amount and amount[0] for amount in amounts), pa.float64())
     return pa.table(columns)
 
 
 def _cell(row: dataset.DatasetRow, name: str) -> Any:
     cell = getattr(row, name)
     return list(cell.items()) if isinstance(cell, Mapping) else cell
-
-
-def amount_of(text: str) -> tuple[float | None, str]:
-    """A condition as a number in SI with its unit, or none for words such as "up"."""
-    try:
-        return si_amount(text)
-    except UnitError:
-        return None, ""
 
 
 def parts(folder: Path) -> list[DatasetPart]:
@@ -220,9 +212,9 @@ def _amounts(table: pa.Table) -> Iterator[tuple[str, tuple[str, FloatArray]]]:
         if column.startswith(AMOUNT):
             name = column.removeprefix(AMOUNT)
             texts = table[CONDITION + name].unique().drop_null().to_pylist()
-            units = {amount_of(text)[1] for text in texts}
+            units = {amount and amount[1] for amount in map(dataset.amount_of, texts)}
             if len(units) == 1:
-                yield name, (units.pop(), _numbers(table, column))
+                yield name, (units.pop() or "", _numbers(table, column))
 
 
 def first_tests(table: pa.Table, why: str) -> Iterator[tuple[str, str, str]]:

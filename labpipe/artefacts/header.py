@@ -14,7 +14,7 @@ from typing import Any
 import labpipe
 from labpipe import __version__
 from labpipe.artefacts.digest import AGAIN, DamagedError, file_sha256
-from labpipe.artefacts.json_file import json_value
+from labpipe.artefacts.json_file import BAD_ENTRY, json_value, record_of
 from labpipe.artefacts.places import origin
 from labpipe.artefacts.writing import show
 from labpipe.errors import DataError
@@ -156,11 +156,10 @@ def header_from_json(text: str | bytes, path: Path, kind: str, digest: str = "")
         hint = "make it again with this version"
         raise DataError(f"has schema {entries.get('schema')}, this version reads {SCHEMA}", path, hint)
     try:
-        entries["inputs"] = tuple(SourceRef(**entry) for entry in entries["inputs"])
-        entries["findings"] = tuple(Finding(**entry) for entry in entries["findings"])
-        return Header(**{"code": "", **entries, "digest": digest})
-    except (KeyError, TypeError) as error:
+        header: Header = record_of({"code": "", **entries, "digest": digest}, Header)
+    except BAD_ENTRY as error:
         raise DamagedError(f"has a header that cannot be read ({error})", path, AGAIN) from None
+    return header
 
 
 def source_ref(path: Path, folder: Path, sha256: str = "") -> SourceRef:

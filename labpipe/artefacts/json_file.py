@@ -86,7 +86,8 @@ def record_of(entry: Any, kind: Any) -> Any:
     if origin is np.ndarray:
         return _array(entry, kind)
     if is_dataclass(kind):
-        return _dataclass(entry, kind)
+        owner: Any = kind
+        return owner(**values_of(entry, owner))
     if hasattr(origin, "__value__"):
         # The fields of a plug-in's record may be NDArray.
         return record_of(entry, origin.__value__[get_args(kind)])
@@ -101,7 +102,13 @@ def _kind_of_value(kind: Any, entry: Any) -> Any:
     return str if isinstance(entry, str) and str in kinds else kinds[0]
 
 
-def _dataclass(entry: Any, kind: Any) -> Any:
+def named_entries(record: Any, *names: str) -> dict[str, Any]:
+    """JSON entries of some fields of a record."""
+    return {name: entry_of(getattr(record, name)) for name in names}
+
+
+def values_of(entry: Any, kind: Any) -> dict[str, Any]:
+    """The values of those fields of a record that the entries give; errors as of `record_of`."""
     hints = _hints(kind)
     values: dict[str, Any] = {}
     for field in fields(kind):
@@ -115,7 +122,7 @@ def _dataclass(entry: Any, kind: Any) -> Any:
         if field.name.endswith("unit") and value and kind.__module__.startswith("labpipe."):
             # UnitError, a ValueError, for one that nobody could show; plug-ins may have units of their own.
             parse_unit(value)
-    return kind(**values)
+    return values
 
 
 @functools.cache

@@ -5,25 +5,30 @@ covariance.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray, handed_over
 from labpipe.artefacts.header import Header
-from labpipe.artefacts.json_file import entry_of, record_of
+from labpipe.artefacts.json_file import entry_of, named_entries, record_of, values_of
 from labpipe.artefacts.parquet import check_layout, numpy_array, read_columns, read_header, write_columns
-from labpipe.artefacts.recording_file import channel_entries, channels_of
-from labpipe.records.response import BlockCovariance, Blocks, FrequencyResponse, Port, StoredCovariance
-from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays, UncertainFactor
+from labpipe.artefacts.recording_file import channel_entries
+from labpipe.records.response import BlockCovariance, FrequencyResponse, StoredCovariance
+from labpipe.records.spectra import ChannelSpectra, FreeDecay, FreeDecays
 from labpipe.records.uncertain import MatrixError, Uncertainty
 
 RESPONSE_SUFFIX = ".frf.parquet"
 Columns = dict[str, FloatArray]
+Measured = TypeVar("Measured")
 PARTS = ("re", "im")
+# Fields of a response that stand in the header as they are.
+_STATED = (
+    "form", "outputs", "inputs", "averages", "covariance_dof", "snr_channels", "name", "conditions"
+)  # fmt: skip
 _COMPLEX = ("change", "open_loop")
 _BY_REPEAT = ("repeat_levels", "repeat_shares")
 _BY_ELEMENT = {"coherence": ":coh", "partial_coherence": ":partial_coh", "distortion": ":distortion"}
@@ -90,27 +95,20 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
     dof, stored = response.covariance_dof, response.stored_covariance
     repeats: dict[str, Any] = {}
     if response.repeat_names:
-        repeats = {"repeats": list(response.repeat_names), "repeats_are": response.repeats_are}
-    for name in _BY_REPEAT:
-        values = getattr(response, name)
-        if response.repeat_names and values is not None:
-            repeats[name] = values.tolist()
+        there = (name for name in _BY_REPEAT if getattr(response, name) is not None)
+        repeats = {"repeats": list(response.repeat_names), **named_entries(response, "repeats_are", *there)}
     by_repeat = [error.by_repeat for error in response.errors]
     n_part = [len(error.parts) for error in response.errors]
     return {
-        "name": response.name,
-        "form": response.form,
-        "outputs": [asdict(port) for port in response.outputs],
-        "inputs": [asdict(port) for port in response.inputs],
+        **named_entries(response, "name", "form", "outputs", "inputs"),
         "averages": float(response.averages),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         # A number where it is real, as files have always had it; real and imaginary part of a complex one.
         "line_correlation": [c.real if c.imag == 0 else [c.real, c.imag] for c in response.line_correlation],
         "line_gains": 0 if response.line_gains is None else response.line_gains.shape[1],
         **({"covariance_blocks": stored.elements.tolist()} if isinstance(stored, BlockCovariance) else {}),
-        "blocks": None if response.blocks is None else asdict(response.blocks),
-        "snr_channels": list(response.snr_channels),
-        "errors": [asdict(error.uncertainty) for error in response.errors],
+        **named_entries(response, "blocks", "snr_channels"),
+        "errors": [entry_of(error.uncertainty) for error in response.errors],
         **({"errors_by_repeat": by_repeat} if any(by_repeat) else {}),
         **({"error_parts": n_part} if any(n_part) else {}),
         **repeats,
@@ -120,29 +118,27 @@ def _contents(response: FrequencyResponse) -> dict[str, Any]:
 
 def read_response(path: Path) -> FrequencyResponse:
     """The response of a ``*.frf.parquet`` file; DataError when the file is not one."""
-    header, columns = _read(path, "frf")
-    with check_layout(path):
-        return _response_of(header, columns)
+    return _read(path, "frf", _response_of)
 
 
-def _read(path: Path, kind: str) -> tuple[Header, Columns]:
+def _read(path: Path, kind: str, make: Callable[[Header, Columns], Measured]) -> Measured:
     header, table = read_header(path, kind), read_columns(path)
-    return header, {name: numpy_array(table.column(name)) for name in table.column_names}
+    columns = {name: numpy_array(table.column(name)) for name in table.column_names}
+    with check_layout(path):
+        return make(header, columns)
 
 
 def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
     contents = header.contents
-    outputs = tuple(Port(**entry) for entry in contents["outputs"])
-    inputs = tuple(Port(**entry) for entry in contents["inputs"])
+    given = _header_values(contents, FrequencyResponse, _STATED, "blocks", "repeats_are", *_BY_REPEAT)
+    outputs, inputs, snr_channels = given["outputs"], given["inputs"], given["snr_channels"]
     pairs = [[f"{o.label}/{i.label}" for i in inputs] for o in outputs]
-    dof = contents["covariance_dof"]
-    snr_channels = tuple(contents["snr_channels"])
-    optional: dict[str, Any] = {
+    given |= {
         name: _matrix(columns, pairs, suffix)
         for name, suffix in _BY_ELEMENT.items()
         if pairs[0][0] + suffix in columns
     }
-    optional |= {
+    given |= {
         name: _complex_matrix(columns, pairs, f":{name}_")
         for name in _COMPLEX
         if f"{pairs[0][0]}:{name}_re" in columns
@@ -152,32 +148,29 @@ def _response_of(header: Header, columns: Columns) -> FrequencyResponse:
     return FrequencyResponse(
         frequency=columns["frequency_hz"],
         matrix=_complex_matrix(columns, pairs, ":"),
-        outputs=outputs,
-        inputs=inputs,
-        form=contents["form"],
+        **given,
         covariance=_covariance(columns, len(outputs) * len(inputs), contents.get("covariance_blocks")),
-        **optional,
         multiple_coherence=np.stack([columns[f"{o.label}:multiple_coh"] for o in outputs], 1)
         if has_multiple
         else None,
         snr=np.stack([columns[f"{name}:snr"] for name in snr_channels], 1) if snr_channels else None,
-        snr_channels=snr_channels,
-        averages=contents["averages"],
-        covariance_dof=math.inf if dof is None else dof,
         line_correlation=tuple(
             complex(*c) if isinstance(c, list) else c for c in contents.get("line_correlation", ())
         ),
         line_gains=np.stack(_numbered_matrices(columns, pairs, "gain", n_gain), 1) if n_gain else None,
-        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
         errors=tuple(_errors(contents, columns, pairs)),
         repeats=np.stack(_numbered_matrices(columns, pairs, "repeat", n_repeat)) if n_repeat else None,
         repeat_names=tuple(contents.get("repeats", ())),
-        **{name: np.array(contents[name]) for name in _BY_REPEAT if name in contents},
-        repeats_are=contents.get("repeats_are", "recordings"),
-        name=contents["name"],
         findings=header.findings,
-        conditions=contents["conditions"],
     )
+
+
+def _header_values(
+    contents: dict[str, Any], kind: type, names: Sequence[str], *others: str
+) -> dict[str, Any]:
+    """The values of the fields of *names*, which must be there, and of *others* that are."""
+    entries = {name: contents[name] for name in names} | {n: contents[n] for n in others if n in contents}
+    return values_of(entries, kind)
 
 
 def _matrix(columns: Columns, pairs: list[list[str]], suffix: str) -> FloatArray:
@@ -196,7 +189,7 @@ def _errors(contents: Mapping[str, Any], columns: Columns, pairs: list[list[str]
     for number, entry in enumerate(entries):
         names = [f":error_{power}:{number}:" for power in range(n_part[number])]
         parts = tuple(_complex_matrix(columns, pairs, name) for name in names)
-        yield MatrixError(Uncertainty(**entry), changes[number], by_repeat[number], parts)
+        yield MatrixError(record_of(entry, Uncertainty), changes[number], by_repeat[number], parts)
 
 
 def _numbered_matrices(columns: Columns, pairs: list[list[str]], name: str, count: int) -> list[ComplexArray]:
@@ -260,24 +253,21 @@ def _spectra_contents(spectra: ChannelSpectra) -> dict[str, Any]:
         "runs": list(spectra.runs),
         "covariance_dof": None if math.isinf(dof) else float(dof),
         "line_correlation": [[value.real, value.imag] for value in spectra.line_correlation],
-        "blocks": None if spectra.blocks is None else asdict(spectra.blocks),
-        "factors": [
-            {**vars(factor), "derivative": entry_of(factor.derivative)} for factor in spectra.factors
-        ],
+        **named_entries(spectra, "blocks", "factors"),
         "conditions": spectra.conditions,
     }
 
 
 def read_spectra(path: Path) -> ChannelSpectra:
     """The spectra of a ``*.spectra.parquet`` file; DataError when the file is not one."""
-    header, columns = _read(path, "spectra")
-    with check_layout(path):
-        return _spectra_of(header, columns)
+    return _read(path, "spectra", _spectra_of)
 
 
 def _spectra_of(header: Header, columns: Columns) -> ChannelSpectra:
     contents, frequency = header.contents, columns["frequency_hz"]
-    channels, runs = channels_of(contents["channels"]), tuple(contents["runs"])
+    names = ("channels", "runs", "covariance_dof", "factors", "name", "conditions")
+    given = _header_values(contents, ChannelSpectra, names, "blocks")
+    channels, runs = given["channels"], given["runs"]
     n = len(channels)
     vectors = np.empty((frequency.size, len(runs), n), np.complex128)
     covariance = np.empty((frequency.size, len(runs), n, n), np.complex128)
@@ -287,23 +277,13 @@ def _spectra_of(header: Header, columns: Columns) -> ChannelSpectra:
         for p, q in _upper(n):
             covariance[:, run, p, q] = _values(columns, f"cov:{run + 1}:{p}:{q}")
             covariance[:, run, q, p] = covariance[:, run, p, q].conj()
-    dof = contents["covariance_dof"]
     return ChannelSpectra(
         frequency=frequency,
         vectors=vectors,
         covariance=covariance,
-        channels=channels,
-        runs=runs,
-        covariance_dof=math.inf if dof is None else dof,
+        **given,
         line_correlation=tuple(complex(*value) for value in contents["line_correlation"]),
-        blocks=Blocks(**contents["blocks"]) if contents.get("blocks") else None,
-        factors=tuple(
-            UncertainFactor(**{**entry, "derivative": record_of(entry["derivative"], ComplexArray)})
-            for entry in contents["factors"]
-        ),
-        name=contents["name"],
         findings=header.findings,
-        conditions=contents["conditions"],
     )
 
 
@@ -320,10 +300,7 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
     columns = {"decay": numbers, "time_s": np.concatenate(times)}
     columns.update({f"output:{port.label}": samples[:, number] for number, port in enumerate(decays.outputs)})
     contents = {
-        "name": decays.name,
-        "sample_rate": decays.sample_rate,
-        "outputs": [asdict(port) for port in decays.outputs],
-        "units": list(decays.units),
+        **named_entries(decays, "name", "sample_rate", "outputs", "units"),
         "recordings": [decay.recording for decay in decays.decays],
         "starts": [decay.start for decay in decays.decays],
         "conditions": decays.conditions,
@@ -333,26 +310,16 @@ def write_decays(path: Path, decays: FreeDecays, header: Header) -> None:
 
 def read_decays(path: Path) -> FreeDecays:
     """The decays of a ``*.decay.parquet`` file; DataError when the file is not one."""
-    header, columns = _read(path, "decay")
-    with check_layout(path):
-        return _decay_of(header, columns)
+    return _read(path, "decay", _decay_of)
 
 
 def _decay_of(header: Header, columns: Columns) -> FreeDecays:
     contents = header.contents
-    outputs = tuple(Port(**entry) for entry in contents["outputs"])
-    samples = np.column_stack([columns[f"output:{port.label}"] for port in outputs])
+    given = _header_values(contents, FreeDecays, ("name", "sample_rate", "outputs", "units", "conditions"))
+    samples = np.column_stack([columns[f"output:{port.label}"] for port in given["outputs"]])
     named = zip(contents["recordings"], contents["starts"], strict=True)
     decays = tuple(
         FreeDecay(recording, start, samples[columns["decay"] == number])
         for number, (recording, start) in enumerate(named)
     )
-    return FreeDecays(
-        contents["sample_rate"],
-        outputs,
-        tuple(contents["units"]),
-        decays,
-        name=contents["name"],
-        findings=header.findings,
-        conditions=contents["conditions"],
-    )
+    return FreeDecays(**given, decays=decays, findings=header.findings)

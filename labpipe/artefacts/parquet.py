@@ -126,12 +126,7 @@ def has_header(path: Path) -> bool:
     return HEADER_KEY in (open_parquet(path).metadata.metadata or {})
 
 
-def header_of(path: Path) -> Header:
-    """The header of an artefact of any kind."""
-    return read_header(path, "")
-
-
-def read_header(path: Path, kind: str) -> Header:
+def read_header(path: Path, kind: str = "") -> Header:
     """The header, of any kind for ""; DataError without one, DamagedError for content of another digest."""
     with _reword_errors(path):
         digest = parquet_digest(path)

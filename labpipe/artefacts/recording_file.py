@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar, cast
@@ -18,6 +18,7 @@ from labpipe.arrays import FloatArray
 from labpipe.artefacts import parquet
 from labpipe.artefacts.digest import stamp_parquet
 from labpipe.artefacts.header import Header, SourceRef, header_from_json, source_ref
+from labpipe.artefacts.json_file import entry_of, record_of
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import Channel, Recording
@@ -123,12 +124,7 @@ def recording_contents(
 
 def channel_entries(channels: Sequence[Channel]) -> list[dict[str, Any]]:
     """Channels in a header, with the unit of their numbers."""
-    return [{**asdict(channel), "unit": channel.unit} for channel in channels]
-
-
-def channels_of(entries: Sequence[Mapping[str, Any]]) -> tuple[Channel, ...]:
-    """The channels of their entries in a header."""
-    return tuple(Channel(**{k: v for k, v in entry.items() if k != "unit"}) for entry in entries)
+    return [{**entry_of(channel), "unit": channel.unit} for channel in channels]
 
 
 @dataclass(frozen=True)
@@ -186,7 +182,7 @@ def open_recording(path: Path) -> StoredRecording:
 
 def _recording_of(path: Path, header: Header) -> StoredRecording:
     contents = header.contents
-    channels = channels_of(contents["channels"])
+    channels: tuple[Channel, ...] = record_of(contents["channels"], tuple[Channel, ...])
     file = parquet.open_parquet(path)
     missing = {channel.name for channel in channels} - set(file.schema_arrow.names)
     if missing:

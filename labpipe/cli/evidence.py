@@ -12,8 +12,6 @@ from pathlib import Path
 
 import click
 
-from labpipe import __version__
-from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
 from labpipe.artefacts.mirrored import everything, read_results
 from labpipe.artefacts.writing import is_remote, output_folder, show
@@ -21,16 +19,7 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import (
-    RESULTS,
-    Unpacked,
-    changed_since,
-    check_output,
-    contents,
-    is_archive,
-    pack,
-    unpack,
-)
+from labpipe.project.archive import RESULTS, changed_since, check_output, contents, is_archive, pack, unpack
 from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
@@ -45,7 +34,7 @@ from labpipe.project.signing import (
     signatures,
     signed_files,
 )
-from labpipe.project.verification import Verified, differences, pipeline_folder, verify_artefacts
+from labpipe.project.verification import differences, pipeline_folder, verify_artefacts
 
 
 @click.command()
@@ -94,7 +83,13 @@ def archive(
         what = "is of a watch, whose recordings came one by one: no pipeline gives it again"
         hint = "run `labpipe run` over them, `each: FOLDER/*`, and archive its results"
         raise DataError(what, folder / NAME, hint)
-    pipeline = load_pipeline(pipeline_path or _pipeline_of(folder, result.pipeline))
+    if pipeline_path is None:
+        home = pipeline_folder(folder)
+        if home is None:
+            what = f"no pipeline '{result.pipeline}' is in or above the results"
+            raise ConfigError(what, folder, "name it with -c PIPELINE")
+        pipeline_path = home / result.pipeline
+    pipeline = load_pipeline(pipeline_path)
     with tempfile.TemporaryDirectory() as scratch:
         packed = contents(folder, pipeline, Path(scratch), digests_only=digests_only)
         pack(packed, output, day or change_day(folder / NAME))
@@ -105,14 +100,6 @@ def archive(
     echo(f"written: {output}, {len(kept)} files" + (f"; of {others} more the digests" if others else ""))
     for path in packed.left_out:
         echo(f"left out: {path}, which does not belong to this result")
-
-
-def _pipeline_of(folder: Path, name: str) -> Path:
-    home = pipeline_folder(folder)
-    if home is None:
-        what = f"no pipeline '{name}' is in or above the results"
-        raise ConfigError(what, folder, "name it with -c PIPELINE")
-    return home / name
 
 
 def _day(text: str | None) -> str:
@@ -285,7 +272,12 @@ class Manners:
 def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manners) -> int:
     artefacts = list(verify_artefacts(here, None if pipeline_path is None else pipeline_path.parent))
     for artefact in artefacts:
-        _echo(artefact, f"{name}/{artefact.path.relative_to(here).as_posix()}", how.verbose)
+        place = f"{name}/{artefact.path.relative_to(here).as_posix()}"
+        for fault in artefact.faults:
+            echo(f"FAILED {place}: {fault}")
+        for remark in artefact.remarks:
+            if how.verbose or remark == "carries no digest":
+                echo(f"note   {place}: {remark}")
     faults = sum(bool(artefact.faults) for artefact in artefacts)
     if how.again and pipeline_path is not None:
         others = _done_again(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
@@ -313,7 +305,7 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         if archive.faults:
             return 1
         try:
-            hindrance = "" if how.again else _hindrance(archive)
+            hindrance = "" if how.again else archive.hindrance()
             named = pipeline_path or archive.pipeline
             how = replace(how, again=not hindrance)
             code = _verify_folder(archive.results, f"{path}: {RESULTS}", named, how)
@@ -328,27 +320,11 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         return code
 
 
-def _hindrance(archive: Unpacked) -> str:
-    if archive.left_out:
-        return f"of {archive.left_out} files the archive holds only the digests"
-    result = read_identification(archive.results / NAME)
-    other = f"it was made by another build of labpipe ({result.version or 'unknown'}); this is {__version__}"
-    return "" if result.code == code_digest() else other
-
-
 def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
     with tempfile.TemporaryDirectory() as scratch:
         with output_folder(Path(scratch) / "out") as output:
             run(pipeline, output, manner(True, False, jobs, None))
         return differences(folder, Path(scratch) / "out")
-
-
-def _echo(artefact: Verified, name: str, verbose: bool) -> None:
-    for fault in artefact.faults:
-        echo(f"FAILED {name}: {fault}")
-    for remark in artefact.remarks:
-        if verbose or remark == "carries no digest":
-            echo(f"note   {name}: {remark}")
 
 
 # The password of a key, where nobody is there to type it.

@@ -1,22 +1,21 @@
-"""Common parts of the commands for several tests: executors, progress, and the list of failed tests."""
+"""Common parts of the commands for several tests: executors and progress."""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
-from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from labpipe.artefacts.writing import is_remote, show
 from labpipe.cli import options
-from labpipe.cli.output import echo, message_line
+from labpipe.cli.output import echo
 from labpipe.errors import ConfigError
 from labpipe.project.executors import LOCAL, Execute, in_processes, on_cluster, serially
 from labpipe.project.run import Manner
-from labpipe.records.identification import Failed
 
 # Duration below which no progress is shown.
 QUIET_SECONDS = 1.0
@@ -43,10 +42,6 @@ class Progress:
             click.echo(line, err=True, nl=finished == total)
 
 
-def silent(_finished: int, _total: int, _name: str) -> None:
-    """No progress: -q."""
-
-
 def duration(seconds: float) -> str:
     """A duration as text: 45 s, 3 min 20 s, 2 h 5 min."""
     minutes, rest = divmod(round(seconds), 60)
@@ -57,8 +52,8 @@ def duration(seconds: float) -> str:
 
 def manner(quiet: bool, verbose: bool, jobs: int, cluster: str | None) -> Manner:
     """The manner of running tests according to the options of a command."""
-    progress = silent if quiet else Progress(verbose)
-    return Manner(options.teller(quiet, verbose), progress, executor(jobs, cluster))
+    how = Manner(options.teller(quiet, verbose), execute=executor(jobs, cluster))
+    return how if quiet else replace(how, progress=Progress(verbose))
 
 
 def check_shared(output: Path, cluster: str | None) -> None:
@@ -77,12 +72,3 @@ def executor(jobs: int, cluster: str | None) -> Execute:
         return on_cluster(cluster)
     processes = jobs or os.cpu_count() or 1
     return serially if processes == 1 else in_processes(processes)
-
-
-def echo_failed(failed: Sequence[Failed]) -> None:
-    """List the failed tests on standard error, at the end."""
-    for failure in failed:
-        echo(message_line(f"error: {failure.name}: {failure.message}"), err=True)
-    if failed:
-        cure = "correct the fault and run the same command again"
-        echo(f"{len(failed)} failed, the rest is finished; {cure}", err=True)

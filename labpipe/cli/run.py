@@ -10,12 +10,13 @@ from pathlib import Path
 
 import click
 
+from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.mirrored import keep_results, make_results
 from labpipe.artefacts.writing import hold_lock, is_remote, show
 from labpipe.cli import options
-from labpipe.cli.many import check_shared, echo_failed, executor, manner
+from labpipe.cli.many import check_shared, executor, manner
 from labpipe.cli.output import echo
-from labpipe.cli.terminal import echo_identification
+from labpipe.cli.terminal import echo_failed, echo_result
 from labpipe.errors import ConfigError, DataError
 from labpipe.processes import pool_of, shared_out
 from labpipe.project.many_tests import hindrance
@@ -74,12 +75,8 @@ def run(
             with shared_out(jobs):
                 write_reports(identification, here, pipeline.report.formats, how.tell)
         made.append(identification)
-    echo_identification(identification, quiet)
-    if not quiet:
-        reports = "".join(f", report.{name}" for name in pipeline.report.formats)
-        echo(f"written: {show(output)}/identification.json{reports}")
-    echo_failed(identification.failed)
-    return 2 if identification.failed else 0 if identification.accepted else 1
+    reports = [f"report.{name}" for name in pipeline.report.formats]
+    return echo_result(identification, quiet, show(output), NAME, *reports)
 
 
 @click.command()

@@ -8,11 +8,12 @@ from pathlib import Path
 import click
 
 from labpipe.artefacts.header import source_ref
+from labpipe.artefacts.identification_file import NAME
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli import options
-from labpipe.cli.many import Progress, echo_failed, manner, silent
+from labpipe.cli.many import manner
 from labpipe.cli.output import echo, echo_findings
-from labpipe.cli.terminal import echo_identification
+from labpipe.cli.terminal import echo_failed, echo_result
 from labpipe.errors import ConfigError
 from labpipe.project.identify import MeasuredTests, identify_stage
 from labpipe.project.ingest import SourceFile, ingest_all
@@ -20,7 +21,7 @@ from labpipe.project.measured import MeasuredTest, load_measured
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.report import outdate_reports, write_reports
 from labpipe.project.rig_file import load_rig
-from labpipe.project.run import Manner, measure_tests, run
+from labpipe.project.run import measure_tests, run
 from labpipe.project.tests import Test
 from labpipe.records.finding import WARNING, of_level
 from labpipe.records.spectra import ChannelSpectra, FreeDecays
@@ -136,10 +137,9 @@ def identify(
     very many tests the results are kept as a dataset, as `labpipe run` does.
     """
     pipeline = load_pipeline(pipeline_path, overrides)
-    tell = options.teller(quiet, verbose)
     with options.results_folder(output) as folder:
         if frfs:
-            tell(f"identify  {pipeline.title}")
+            options.teller(quiet, verbose)(f"identify  {pipeline.title}")
             tests = [load_measured(path) for path in frfs]
             if len({test.name for test in tests}) < len(tests):
                 hint = "list them as `frfs:` of tests with names in the pipeline"
@@ -150,12 +150,10 @@ def identify(
                 pipeline, MeasuredTests(tuple(tests), sources, inputs=inputs), folder
             )
         else:
-            progress = silent if quiet else Progress(verbose)
-            identification = run(pipeline, folder, Manner(tell, progress, measured_before=True))
+            how = manner(quiet, verbose, jobs=1, cluster=None)
+            identification = run(pipeline, folder, replace(how, measured_before=True))
         outdate_reports(folder, ())
-    echo_identification(identification, quiet)
-    echo_failed(identification.failed)
-    return 2 if identification.failed else 0 if identification.accepted else 1
+    return echo_result(identification, quiet)
 
 
 @click.command()
@@ -182,8 +180,7 @@ def calibrate(
     with output_folder(output) as folder:
         identification = identify_stage(lines, MeasuredTests(sources=sources), folder)
         outdate_reports(folder, ())
-    echo_identification(identification, quiet)
-    return 0 if identification.accepted else 1
+    return echo_result(identification, quiet)
 
 
 STUDY = "study"
@@ -218,8 +215,5 @@ def study(
         write_study_csv(folder.write_path("study.csv"), identification.sections[STUDY][0])
         outdate_reports(folder, pipeline.report.formats)
     write_reports(identification, output, pipeline.report.formats, options.teller(quiet, verbose))
-    echo_identification(identification, quiet)
-    if not quiet:
-        reports = "".join(f", report.{name}" for name in pipeline.report.formats)
-        echo(f"written: {output}/identification.json, study.csv{reports}")
-    return 0 if identification.accepted else 1
+    reports = [f"report.{name}" for name in pipeline.report.formats]
+    return echo_result(identification, quiet, str(output), NAME, "study.csv", *reports)

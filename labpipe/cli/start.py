@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
 from math import log2
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 import numpy as np
@@ -24,7 +23,7 @@ from labpipe.project.report import format_of
 from labpipe.project.rig_file import load_rig
 from labpipe.project.scaffold import MARK, scaffold
 from labpipe.project.simulate import load_virtual_rig, simulate_files
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import locate_units, parse_value
 from labpipe.raw_files.excitation import DIRECTIONS, LAWS, PHASES, Sweep, design_multisine
 from labpipe.raw_files.uff import FileShapes
 from labpipe.records.recording import Overview
@@ -231,7 +230,6 @@ def _echo_recording(overview: Overview) -> None:
         echo(f"  warning rig: {contradiction}")
 
 
-Value = TypeVar("Value")
 OF_MULTISINES, OF_SWEEPS = ("spacing", "phases", "odd", "leave_out", "seed"), ("direction", "length", "pause")
 
 
@@ -285,13 +283,12 @@ def excite(
         options.refuse_given(OF_SWEEPS, "a swept sine: name its --sweep")
     else:
         options.refuse_given(OF_MULTISINES, "a multisine: leave out --sweep")
-    limits = _option("--band", lambda: to_band(band, Setting("band", "", unit="Hz")))
-    line_spacing = _option("--spacing", lambda: parse_value(spacing, "Hz"))
-    sample_rate = _option("--rate", lambda: parse_value(rate, "Hz"))
-    rms = _option("--level", lambda: parse_value(level, "V"))
+    with locate_units("--band"):
+        limits = to_band(band, Setting("band", "", unit="Hz"))
+    line_spacing, sample_rate = _value("--spacing", spacing, "Hz"), _value("--rate", rate, "Hz")
+    rms = _value("--level", level, "V")
     if sweep is not None:
-        duration = _option("--length", lambda: parse_value(length, "s"))
-        rest = _option("--pause", lambda: parse_value(pause, "s"))
+        duration, rest = _value("--length", length, "s"), _value("--pause", pause, "s")
         swept = Sweep(limits, duration, rms, sweep, direction, rest)
         samples = swept.samples(sample_rate, periods)
         what = f"{periods} sweep(s) {direction}, {limits[0]:g}-{limits[1]:g} Hz, {sweep}, {_rate(swept)}"
@@ -315,11 +312,9 @@ def _rate(swept: Sweep) -> str:
     return f"{60 * log2(high / low) / swept.duration:.3g} octaves/min"
 
 
-def _option(name: str, read: Callable[[], Value]) -> Value:
-    try:
-        return read()
-    except UnitError as error:
-        raise ConfigError(error.what, name, error.hint) from None
+def _value(option: str, text: str, unit: str) -> float:
+    with locate_units(option):
+        return parse_value(text, unit)
 
 
 @click.command()

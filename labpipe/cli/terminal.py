@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import click
 
-from labpipe.cli.output import echo, for_terminal
+from labpipe.cli.output import echo, for_terminal, message_line
 from labpipe.records.finding import NOTE, WARNING, Finding, Parameter, of_level
-from labpipe.records.identification import DatasetIndex, Fit, Identification
+from labpipe.records.identification import DatasetIndex, Failed, Fit, Identification
 from labpipe.records.sections import section
 from labpipe.records.text import parameter_cells
 
@@ -19,6 +19,26 @@ MAX_BANDS = 8
 MAX_NOTES = 8
 # Numerous parameters such as mode shapes are only in identification.json and the report.
 IN_REPORT_ONLY = ("shape_", "participation_")
+
+
+def echo_result(identification: Identification, quiet: bool, folder: str = "", *files: str) -> int:
+    """What an identification gives, the *files* written to a *folder*, and failed tests; the exit code of the
+    command.
+    """
+    echo_identification(identification, quiet)
+    if files and not quiet:
+        echo(f"written: {folder}/{', '.join(files)}")
+    echo_failed(identification.failed)
+    return 2 if identification.failed else 0 if identification.accepted else 1
+
+
+def echo_failed(failed: Sequence[Failed]) -> None:
+    """List the failed tests on standard error, at the end."""
+    for failure in failed:
+        echo(message_line(f"error: {failure.name}: {failure.message}"), err=True)
+    if failed:
+        cure = "correct the fault and run the same command again"
+        echo(f"{len(failed)} failed, the rest is finished; {cure}", err=True)
 
 
 def echo_identification(identification: Identification, quiet: bool) -> None:

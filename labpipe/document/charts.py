@@ -444,11 +444,7 @@ def _upright(axes: Axes, series: Series) -> None:
 
 
 def _span(axes: Axes, series: Series) -> None:
-    look: dict[str, Any] = {"color": tone(series.colour), "alpha": series.opacity, "linewidth": 0}
-    if series.kind == "hspan":
-        axes.axhspan(*series.y, **look)
-    else:
-        axes.axvspan(*series.x, **look)
+    axes.axhspan(*series.y, color=tone(series.colour), alpha=series.opacity, linewidth=0)
 
 
 def _cells(axes: Axes, series: Series) -> None:
@@ -481,7 +477,6 @@ PAINTERS: dict[str, Callable[[Axes, Series], Artist | None]] = {
     "hline": _level,
     "vline": _upright,
     "hspan": _span,
-    "vspan": _span,
     "cells": _cells,
     "arrow": _arrow,
     "text": _text,

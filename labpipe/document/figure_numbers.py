@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.artefacts.json_file import named_entries
 from labpipe.artefacts.writing import cell
 from labpipe.report.chart import GREY, Axis, Chart, Panel, Series
 from labpipe.report.document import Table
@@ -119,9 +120,7 @@ def _panel(chart: Chart, number: int, numbers: NumberList) -> dict[str, Any]:
 
 def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]:
     return {
-        "title": axis.title,
-        "unit": axis.unit,
-        "label": axis.label,
+        **named_entries(axis, "title", "unit", "label"),
         "limits": [float(f"{end:.12g}") for end in limits],
         "log": axis.logarithmic,
         "group": group,
@@ -131,8 +130,11 @@ def _axis(axis: Axis, limits: tuple[float, float], group: int) -> dict[str, Any]
 
 def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     colour = RULE if series.colour == GREY else series.colour
-    entry: dict[str, Any] = {"kind": series.kind, "name": series.name, "colour": colour}
-    entry |= {"line": series.line, "width": series.width}
+    entry = {
+        **named_entries(series, "kind", "name"),
+        "colour": colour,
+        **named_entries(series, "line", "width"),
+    }
     if series.entry:
         entry["entry"] = series.entry
     if series.kind == "cells":
@@ -143,11 +145,9 @@ def _series(series: Series, numbers: NumberList) -> dict[str, Any]:
     entry |= {
         "x": numbers.add(series.x),
         "y": numbers.add(series.y, _read_digits(series)),
-        "marker": series.marker,
-        "size": series.size,
-        "hollow": series.hollow,
+        **named_entries(series, "marker", "size", "hollow"),
     }
-    if series.kind in ("area", "hspan", "vspan") or series.interval == "shaded":
+    if series.kind in ("area", "hspan") or series.interval == "shaded":
         entry["opacity"] = series.opacity
     if series.kind == "text":
         entry["texts"] = series.texts[0]

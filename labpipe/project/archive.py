@@ -19,10 +19,11 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from labpipe import __version__
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME as IDENTIFICATION, read_identification
-from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING
 from labpipe.artefacts.writing import is_remote, output_file, path_of, show
 from labpipe.errors import ConfigError, DataError, shorten
@@ -74,7 +75,7 @@ def contents(folder: Path, pipeline: Pipeline, scratch: Path, *, digests_only: b
         role = "result as XML after the Digital Calibration Certificate"
         results.append(Member(f"{RESULTS}/{CERTIFICATE}", role, scratch / CERTIFICATE))
     left_out = [path for path in artefacts_below(folder) if path.relative_to(folder).as_posix() not in names]
-    noted = [reference for name in recordings for reference in header_of(folder / name).inputs]
+    noted = [reference for name in recordings for reference in read_header(folder / name).inputs]
     digests = {reference.path: reference.sha256 for reference in noted}
     digests |= {source["path"]: source["sha256"] for source in identification.sources}
     dated = identification.dataset is not None
@@ -118,7 +119,7 @@ def _names_of_result(folder: Path, identification: Identification, pipeline: Pip
     named.extend(name for test in pipeline.tests for name in files_of_test(test.name))
     there = {name for name in named if (folder / name).is_file() and ".." not in Path(name).parts}
     measured = [name for name in there if name.endswith(".parquet") and "/" not in name]
-    inputs = [reference.path for name in measured for reference in header_of(folder / name).inputs]
+    inputs = [reference.path for name in measured for reference in read_header(folder / name).inputs]
     recordings = (f"recordings/{name}" for name in inputs)
     return sorted({IDENTIFICATION, *there, *(name for name in recordings if (folder / name).is_file())})
 
@@ -366,6 +367,14 @@ class Unpacked:
     files: int
     left_out: int
     faults: tuple[tuple[str, str], ...]
+
+    def hindrance(self) -> str:
+        """Why the pipeline would not give the same bytes again; empty where it would."""
+        if self.left_out:
+            return f"of {self.left_out} files the archive holds only the digests"
+        result = read_identification(self.results / IDENTIFICATION)
+        build = f"another build of labpipe ({result.version or 'unknown'}); this is {__version__}"
+        return "" if result.code == code_digest() else f"it was made by {build}"
 
 
 def unpack(path: Path, folder: Path) -> Unpacked:

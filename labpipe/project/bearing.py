@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.arrays import FloatArray
-from labpipe.artefacts.json_file import without_nan
+from labpipe.artefacts.json_file import named_entries, without_nan
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.bearings.kinds import Amount, BearingCoefficients, BearingUncertainties, bearing_uncertainties
 from labpipe.project.bearing_file import BearingFile, BearingSweep, setting_at
@@ -160,12 +160,10 @@ def bearing_entry(file: BearingFile, name: str, whole: Evaluated) -> dict[str, A
         "labpipe": __version__,
         "kind": file.kind_name,
         "name": name,
-        "dofs": list(coefficients.dofs),
-        "stiffness": coefficients.stiffness.tolist(),
-        "damping": coefficients.damping.tolist(),
+        **named_entries(coefficients, "dofs", "stiffness", "damping"),
         "equilibrium": equilibrium,
         "model": _values(coefficients.notes) | dict(coefficients.words),
-        "warnings": [{"code": finding.code, "message": finding.message} for finding in coefficients.findings],
+        "warnings": [named_entries(finding, "code", "message") for finding in coefficients.findings],
     }
     if coefficients.shares:
         entry["shares"] = _values(coefficients.shares)
@@ -198,9 +196,7 @@ def _uncertainty_entry(
         "equilibrium": dict(zip(names, uncertainties.error("rest").tolist(), strict=True)),
         "sources": [
             {
-                "source": source.source,
-                "std_error": source.std_error,
-                "unit": source.unit,
+                **named_entries(source, "source", "std_error", "unit"),
                 "stiffness": stiffness.tolist(),
                 "damping": damping.tolist(),
                 "equilibrium": dict(zip(names, rest.tolist(), strict=True)),
@@ -217,16 +213,12 @@ def bearing_json(entry: dict[str, Any]) -> str:
 
 def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: OutputFolder) -> list[str]:
     """Write bearing.json, figures, and a shaft's transfer matrix; the names of the files."""
-    from labpipe.document.charts import svg_file
-
     coefficients = whole.coefficients
     entry = bearing_json(bearing_entry(file, name, whole))
     output.write_path("bearing.json").write_text(entry, encoding="utf-8")
     figures = {"stiffness.svg": stiffness_figure(name, coefficients)}
     figures |= file.kind.figures(name, coefficients) if file.kind.figures else {}
-    for file_name, figure in figures.items():
-        output.write_path(file_name).write_text(svg_file(figure), encoding="utf-8")
-    names = ["bearing.json", *figures]
+    names = ["bearing.json", *_write_figures(figures, output)]
     response = file.kind.response and file.kind.response(file.settings(), coefficients)
     if response is not None:
         write_frf_csv(output.write_path("transfer.csv"), response)
@@ -236,8 +228,6 @@ def write_bearing(file: BearingFile, name: str, whole: Evaluated, output: Output
 
 def write_sweep(name: str, sweep: BearingSweep, points: list[Evaluated], output: OutputFolder) -> list[str]:
     """sweep.csv with every coefficient, and their curves; the names of the files."""
-    from labpipe.document.charts import svg_file
-
     columns = sweep_columns(sweep, points)
     with output.write_path("sweep.csv").open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(",".join(columns) + "\n")
@@ -245,9 +235,16 @@ def write_sweep(name: str, sweep: BearingSweep, points: list[Evaluated], output:
             cells = (value if isinstance(value, str) else f"{value:.9g}" for value in row)
             stream.write(",".join(cells) + "\n")
     figures = sweep_figures(name, sweep.label, sweep.values, [point.coefficients for point in points])
-    for kind, figure in figures.items():
-        output.write_path(f"sweep-{kind}.svg").write_text(svg_file(figure), encoding="utf-8")
-    return ["sweep.csv", *(f"sweep-{kind}.svg" for kind in figures)]
+    of_kinds = {f"sweep-{kind}.svg": figure for kind, figure in figures.items()}
+    return ["sweep.csv", *_write_figures(of_kinds, output)]
+
+
+def _write_figures(figures: Mapping[str, Figure], output: OutputFolder) -> list[str]:
+    from labpipe.document.charts import svg_file
+
+    for name, figure in figures.items():
+        output.write_path(name).write_text(svg_file(figure), encoding="utf-8")
+    return [*figures]
 
 
 def sweep_columns(sweep: BearingSweep, points: list[Evaluated]) -> dict[str, Any]:

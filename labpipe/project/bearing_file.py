@@ -13,8 +13,8 @@ from labpipe.arrays import FloatArray
 from labpipe.bearings.kinds import BEARINGS, BearingCoefficients, BearingKind
 from labpipe.errors import ConfigError, locate_errors
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
-from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
-from labpipe.quantities import UnitError, is_number, parse_value
+from labpipe.project.settings_reader import Faults, join, read_kind, read_settings, shorten_number
+from labpipe.quantities import is_number, locate_units, parse_value
 from labpipe.records.settings import FileKind, Setting, settings_of
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain, split_uncertainty
 from labpipe.registry import nearest
@@ -97,10 +97,8 @@ def taken_uncertainties(
         value, uncertainty = split_uncertainty(entry.text)
         if name in kind.bare_units and is_number(value):
             value = f"{value} {kind.bare_units[name]}"
-        try:
+        with faults.of_unit(entry, join(key, name)):
             uncertainties[join(key, name)] = parse_uncertain(f"{value} +- {uncertainty}", declared.unit)
-        except UnitError as error:
-            faults.add_unit(entry, join(key, name), error)
         node.content[name] = replace(entry, content=value, text=value)
     return uncertainties
 
@@ -108,15 +106,8 @@ def taken_uncertainties(
 def kind_of(tree: Marked, key: str, faults: Faults) -> BearingKind | None:
     """The kind that the entry `kind` of a bearing names. None and a fault for an unknown one."""
     entries = faults.mapping(tree, key)
-    if "kind" not in entries:
-        faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(BEARINGS.names())}")
-        return None
-    name = entries["kind"].text
-    if name not in BEARINGS.names():
-        faults.add_at(entries, key, "kind", f"unknown bearing '{name}'", nearest(name, BEARINGS.names()))
-        return None
-    kind: BearingKind = BEARINGS.load(name)
-    for entry, unit in kind.bare_units.items():
+    kind: BearingKind | None = read_kind(tree, key, BEARINGS, "bearing", faults)
+    for entry, unit in kind.bare_units.items() if kind else ():
         if entry in entries and isinstance(entries[entry].content, (int, float)):
             entries[entry].text += f" {unit}"
     return kind
@@ -157,12 +148,10 @@ def parse_sweep(text: str, owner: type) -> BearingSweep:
     unit = sweepable[key].unit
     unit_of_last = unit if is_number(parts[-1]) else parts[-1].lstrip("+-.0123456789eE ")
     texts = [f"{part} {unit_of_last}" if is_number(part) else part for part in parts]
-    try:
+    with locate_units(where, before=f"{key}: "):
         start, stop, step = (parse_value(text, unit) for text in texts)
         # A step is a difference: 10 degC are 10 K.
         step -= parse_value(f"0 {unit_of_last}", unit)
-    except UnitError as error:
-        raise ConfigError(f"{key}: {error.what}", where, error.hint) from None
     if step == 0 or (stop - start) / step < 0.5:
         raise ConfigError("the step does not lead from start to stop", where)
     # A step that misses the stop ends before it; rounding must not lose the stop itself.

@@ -6,6 +6,7 @@ import csv
 import datetime
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,8 +18,15 @@ from labpipe.project.marked_yaml import Marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.certificate import FREQUENCY, CertifiedQuantity, read_certificate
-from labpipe.records import uncertain
 from labpipe.records.settings import Settings, Uncertainties, setting, text
+from labpipe.records.uncertain import (
+    ChannelUncertainty,
+    Uncertain,
+    Uncertainty,
+    parse_uncertain,
+    split_uncertainty,
+    uncertainty_of,
+)
 from labpipe.registry import nearest
 
 
@@ -42,66 +50,58 @@ class Written:
     dof: str
     uncertainties: Uncertainties
     chain: ChainUncertaintySettings | None
-    certified: tuple[uncertain.ChannelUncertainty, ...] = ()
+    certified: tuple[ChannelUncertainty, ...] = ()
 
 
-def channel_uncertainties(
-    written: Written, key: str, faults: Faults
-) -> tuple[uncertain.ChannelUncertainty, ...]:
+def channel_uncertainties(written: Written, key: str, faults: Faults) -> tuple[ChannelUncertainty, ...]:
     """All uncertainties of a channel that are not zero; faults at their entries."""
-    uncertainties: list[uncertain.ChannelUncertainty] = []
+    uncertainties: list[ChannelUncertainty] = []
     for entry, read in READERS.items():
-        try:
+        with faults.of_unit(written.node.content.get(entry, written.node), join(key, entry)):
             uncertainties.extend(read(written))
-        except UnitError as error:
-            faults.add_unit(written.node.content.get(entry, written.node), join(key, entry), error)
     return tuple(uncertainty for uncertainty in uncertainties if uncertainty.uncertainty.std_error > 0)
 
 
-def _sensitivity_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _sensitivity_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     yield from written.certified
-    text, uncertainty = uncertain.split_uncertainty(written.sensitivity)
+    text, uncertainty = split_uncertainty(written.sensitivity)
     if "#" in text:
         slope = calibrated_slope(text, written.node.folder_of("sensitivity"))
         # All channels with this slope have its error.
         source, size = f"sensitivity {text}", abs(slope.std_error / slope.value)
-        yield uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, size, "1", slope.dof))
+        yield ChannelUncertainty("gain", Uncertainty(source, size, "1", slope.dof))
     if uncertainty:
         yield _channel_uncertainty(written, "gain", _relative(text, uncertainty), f"sensitivity {text}")
 
 
-def _channel_uncertainty(
-    written: Written, effect: str, number: uncertain.Uncertain, source: str
-) -> uncertain.ChannelUncertainty:
+def _channel_uncertainty(written: Written, effect: str, number: Uncertain, source: str) -> ChannelUncertainty:
     unit = {"gain": "1", "delay": "s"}.get(effect, "rad")
-    uncertainty = uncertain.uncertainty_of(number, f"{written.name}.{source}", unit)
-    return uncertain.ChannelUncertainty(effect, uncertainty)
+    uncertainty = uncertainty_of(number, f"{written.name}.{source}", unit)
+    return ChannelUncertainty(effect, uncertainty)
 
 
-def _relative(text: str, uncertainty: str) -> uncertain.Uncertain:
+def _relative(text: str, uncertainty: str) -> Uncertain:
     value, _, unit = text.strip().partition(" ")
-    number = uncertain.parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
+    number = parse_uncertain(f"{value} {unit} +- {uncertainty}", unit)
     return replace(number, value=1.0, std_error=number.std_error / abs(number.value))
 
 
-def _delay_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _delay_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     if (number := dict(written.uncertainties).get("delay")) is not None:
         yield _channel_uncertainty(written, "delay", number, f"delay {1e6 * number.value:g} us")
 
 
-def _direction_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
-    text, uncertainty = uncertain.split_uncertainty(written.dof)
+def _direction_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
+    text, uncertainty = split_uncertainty(written.dof)
     if uncertainty:
-        number = uncertain.parse_uncertain(f"0 rad +- {uncertainty}", "rad")
+        number = parse_uncertain(f"0 rad +- {uncertainty}", "rad")
         yield _channel_uncertainty(written, "direction", number, f"dof {text}")
 
 
-def _chain_uncertainty(written: Written) -> Iterator[uncertain.ChannelUncertainty]:
+def _chain_uncertainty(written: Written) -> Iterator[ChannelUncertainty]:
     for effect, number, unit in (("gain", "1", "1"), ("phase", "0 rad", "rad")):
         if size := getattr(written.chain, effect, ""):
-            yield _channel_uncertainty(
-                written, effect, uncertain.parse_uncertain(f"{number} +- {size}", unit), effect
-            )
+            yield _channel_uncertainty(written, effect, parse_uncertain(f"{number} +- {size}", unit), effect)
 
 
 # What reads the uncertainties of an entry.
@@ -111,6 +111,17 @@ READERS = {
     "dof": _direction_uncertainty,
     "uncertainty": _chain_uncertainty,
 }
+
+
+@contextmanager
+def readable_result(path: Path, unreadable: str) -> Iterator[dict[str, Any]]:
+    """The entries of an identification.json; UnitError where they are not there, or not such as are read."""
+    try:
+        yield read_digested(path, "identification.json")
+    except DamagedError as error:
+        raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise UnitError(unreadable) from None
 
 
 @dataclass(frozen=True)
@@ -126,17 +137,14 @@ class Slope:
 def calibrated_slope(reference: str, folder: Path) -> Slope:
     """The slope of a calibration fit by FILE#FIT, relative to the *folder*. UnitError for none."""
     file, _, fit_name = reference.partition("#")
-    unreadable = f"'{file}' is not a readable identification.json of a calibration"
-    try:
-        entries = read_digested(folder / file, "identification.json")["fits"]
+    with readable_result(
+        folder / file, f"'{file}' is not a readable identification.json of a calibration"
+    ) as result:
+        entries = result["fits"]
         fits = [fit for fit in entries if fit["name"] == fit_name]
         pairs = [(entry, fit.get("dof")) for fit in fits for entry in fit["parameters"]]
         slopes = [_slope(entry, dof) for entry, dof in pairs if entry["name"] == "slope"]
         names = [fit["name"] for fit in entries]
-    except DamagedError as error:
-        raise UnitError(f"{unreadable}: {error.what}", error.hint) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UnitError(unreadable) from None
     if len(slopes) > 1:
         what = f"'{file}' holds {len(slopes)} calibration fits '{fit_name}'"
         raise UnitError(what, "one for each group; one without a group is needed")
@@ -217,20 +225,16 @@ class Certified:
     """
 
     text: str
-    uncertainties: tuple[uncertain.ChannelUncertainty, ...]
+    uncertainties: tuple[ChannelUncertainty, ...]
     response: tuple[tuple[float, float, float], ...] = ()
 
 
 def certified_sensitivity(node: Marked, folder: Path, key: str, faults: Faults) -> Certified | None:
     """The sensitivity of a channel by its certificate in a *folder*; None and a fault without."""
     settings = read_settings(CertificateSettings, node, key, faults)
-    if settings is None:
-        return None
-    try:
-        return _certify(settings, folder)
-    except UnitError as error:
-        faults.add_unit(node, key, error)
-        return None
+    with faults.of_unit(node, key):
+        return None if settings is None else _certify(settings, folder)
+    return None
 
 
 def _certify(settings: CertificateSettings, folder: Path) -> Certified:
@@ -251,7 +255,7 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         raise UnitError(f"{named} states a sensitivity of zero")
     source = f"certificate {certificate.number}"
     relative = max(u / abs(value) for u, value in zip(stated.std_errors, stated.values, strict=True))
-    gain = uncertain.ChannelUncertainty("gain", uncertain.Uncertainty(source, relative, "1"))
+    gain = ChannelUncertainty("gain", Uncertainty(source, relative, "1"))
     if not settings.over:
         if len(stated.values) > 1:
             hint = f"over: {FREQUENCY}, at: 80 Hz"
@@ -267,8 +271,8 @@ def _certify(settings: CertificateSettings, folder: Path) -> Certified:
         if phases.std_errors is None:
             raise UnitError(f"{named} states no uncertainty of '{settings.phase}'")
         error = max(parse_value(f"{u!r} {phases.unit}", "rad") for u in phases.std_errors)
-        of_phase = uncertain.Uncertainty(f"{source}, phase", error, "rad")
-        uncertainties.append(uncertain.ChannelUncertainty("phase", of_phase))
+        of_phase = Uncertainty(f"{source}, phase", error, "rad")
+        uncertainties.append(ChannelUncertainty("phase", of_phase))
     return Certified(f"{at!r} {stated.unit}", tuple(uncertainties), response)
 
 

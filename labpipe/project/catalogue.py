@@ -1,4 +1,4 @@
-"""Index of a results folder: an SQLite file up to date with the results below it, and its queries. Read and
+"""Index of a results folder: what is known of each result below it, in a file that follows them. Read and
 written whole, it needs no lock, and a damaged one is made again.
 """
 
@@ -6,174 +6,126 @@ from __future__ import annotations
 
 import datetime
 import functools
+import hashlib
 import json
-import math
 import re
-import sqlite3
 import time
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from labpipe import __version__
-from labpipe.artefacts.dataset_file import amount_of
+from labpipe.artefacts.dataset_file import table_of
 from labpipe.artefacts.digest import file_sha256
 from labpipe.artefacts.header import code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification
-from labpipe.artefacts.json_file import BAD_ENTRY, read_bytes
+from labpipe.artefacts.json_file import BAD_ENTRY, plain, read_bytes
 from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project.run_record import days_of_runs, record_of_runs
 from labpipe.quantities import UnitError, si_amount
+from labpipe.records.dataset import DatasetRow, day_of, entries_of
 from labpipe.records.finding import WARNING
-from labpipe.records.identification import Identification, ListedParameter, listed_parameters, warning_codes
+from labpipe.records.identification import Identification, listed_parameters, warning_codes
 from labpipe.records.sections import section
 from labpipe.registry import nearest
 
-INDEX = ".labpipe-catalogue.sqlite"
+INDEX = ".labpipe-catalogue.json"
 # Condition of the tests that gives a result's date, and what gives it else.
 DATE = "date"
 BY_RUN, BY_FILE = "the record of runs", "the last change of its file, which is another in a copy"
-
-_TABLES = """
-CREATE TABLE result (
-    id INTEGER PRIMARY KEY, path TEXT UNIQUE, stamp TEXT, title TEXT, rig TEXT, pipeline TEXT,
-    version TEXT, date TEXT, tests INTEGER, verdict TEXT, warnings TEXT, fault TEXT, dataset INTEGER,
-    sources TEXT, dated TEXT
-);
-CREATE TABLE value (
-    id INTEGER PRIMARY KEY, result INTEGER REFERENCES result ON DELETE CASCADE,
-    fit TEXT, term TEXT, test TEXT, model TEXT, estimator TEXT, low_hz REAL, high_hz REAL,
-    parameter TEXT, value REAL, unit TEXT, std_error REAL, random_error REAL, changes TEXT, dofs TEXT,
-    ci_low REAL, ci_high REAL, significant INTEGER, warnings TEXT, date TEXT
-);
-CREATE TABLE condition (
-    result INTEGER REFERENCES result ON DELETE CASCADE,
-    test TEXT, name TEXT, text TEXT, amount REAL, unit TEXT
-);
-CREATE INDEX value_parameter ON value (parameter, fit);
-CREATE INDEX condition_name ON condition (result, test, name);
-"""
-# Where SQLite keeps a number for the application.
-_STAMP = slice(60, 64)
 # An index of another version or build is made anew.
 MADE_BY = f"{__version__} {code_digest()}"
+# Of every result, by the path of its file, a `ResultRow` and the rows of a dataset of its tests.
+Index = dict[str, dict[str, Any]]
 
 
-@contextmanager
-def open_index(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The index of a folder, up to date; in memory where read-only. DataError for no folder or no results."""
+def open_index(folder: Path) -> Index:
+    """What is known of the results below a folder, kept in it where that is allowed. DataError for no folder
+    or no results.
+    """
     if not folder.is_dir():
         raise DataError("no such folder", folder, "name the folder that holds the results of your runs")
-    with closing(_open(folder)) as connection:
-        if _bring_up_to_date(connection, folder):
-            # Write the index as a whole beside the results, where that is allowed: others may do so at once
-            index = folder / INDEX
-            if index.is_file() or not index.exists():
-                with suppress(DataError, OSError), output_file(index) as path:
-                    path.write_bytes(_stamp(connection.serialize()))
-        if not connection.execute("SELECT count(*) FROM result").fetchone()[0]:
-            hint = "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
-            raise DataError(f"holds no {NAME}", folder, hint)
-        yield connection
-
-
-def _open(folder: Path) -> sqlite3.Connection:
-    """The index in memory: as it was kept, or empty where none of this version was, or a damaged one."""
-    try:
-        kept = read_bytes(folder / INDEX)
-    except (DataError, OSError):
-        kept = b""
-    if kept and kept == _stamp(kept):
-        connection = sqlite3.connect(":memory:")
-        try:
-            connection.deserialize(kept)
-            if connection.execute("SELECT version FROM made_by").fetchone() == (MADE_BY,):
-                return connection
-        except sqlite3.Error:
-            # Of another program, under our name.
-            connection.close()
-    connection = sqlite3.connect(":memory:")
-    connection.executescript(_TABLES)
-    connection.execute("CREATE TABLE made_by (version TEXT)")
-    connection.execute("INSERT INTO made_by VALUES (?)", (MADE_BY,))
-    return connection
-
-
-def _stamp(database: bytes) -> bytes:
-    """The database with its CRC-32 as the user's version, by which a damaged index is noticed."""
-    first, last = database[: _STAMP.start], database[_STAMP.stop :]
-    return first + zlib.crc32(last, zlib.crc32(first)).to_bytes(4, "big") + last
-
-
-def _bring_up_to_date(connection: sqlite3.Connection, folder: Path) -> bool:
-    before = connection.total_changes
-    stamps = dict(connection.execute("SELECT path, stamp FROM result"))
+    kept, index = _read(folder / INDEX), Index()
     runs = functools.cache(days_of_runs)
-    here = {path.relative_to(folder).as_posix(): path for path in without_staging(folder.rglob(NAME))}
-    remove = "DELETE FROM result WHERE path = ?"
-    connection.execute("PRAGMA foreign_keys = ON")
-    connection.executemany(remove, [(name,) for name in stamps.keys() - here.keys()])
-    for name, path in here.items():
+    for path in without_staging(folder.rglob(NAME)):
         try:
             status = path.stat()
         except FileNotFoundError:
             # Removed since the folder was listed.
             continue
-        stamp = f"{status.st_mtime_ns}:{status.st_size}:{status.st_ino}"
-        if stamps.get(name) != stamp:
-            connection.execute(remove, (name,))
+        name, stamp = path.relative_to(folder).as_posix(), [status.st_mtime_ns, status.st_size, status.st_ino]
+        index[name] = kept.get(name, {})
+        if index[name].get("stamp") != stamp:
             record = record_of_runs(path.parent)
             day = "" if record is None else runs(record).get(file_sha256(path), "")
             dated, changed = BY_RUN if day else BY_FILE, time.gmtime(status.st_mtime)
-            day = day or time.strftime("%Y-%m-%d", changed)
-            _add(connection, name, path, {"stamp": stamp, "date": day, "dated": dated})
-    connection.commit()
-    return connection.total_changes != before
+            entry = _entry(path, day or time.strftime("%Y-%m-%d", changed))
+            index[name] = {"stamp": stamp, **entry, "path": name, "dated": dated}
+    if not index:
+        raise DataError(
+            f"holds no {NAME}", folder, "results appear with `labpipe run PIPELINE -o FOLDER/NAME`"
+        )
+    if index != kept and ((folder / INDEX).is_file() or not (folder / INDEX).exists()):
+        # Written as a whole: others may do so at once.
+        content = json.dumps(index, default=plain).encode()
+        with suppress(DataError, OSError), output_file(folder / INDEX) as path:
+            path.write_bytes(_digest(content) + b"\n" + content)
+    return index
 
 
-def _add(connection: sqlite3.Connection, name: str, path: Path, given: dict[str, str]) -> None:
+def _read(path: Path) -> Index:
+    """The index as it was kept; empty where none of this version was, or a damaged one."""
+    with suppress(DataError, OSError):
+        digest, _, content = read_bytes(path).partition(b"\n")
+        if digest == _digest(content):
+            kept: Index = json.loads(content)
+            return kept
+    return {}
+
+
+def _digest(content: bytes) -> bytes:
+    return hashlib.sha256(MADE_BY.encode() + content).hexdigest().encode()
+
+
+def _entry(path: Path, day: str) -> dict[str, Any]:
+    """What the index holds of a result of that *day*, or why it cannot be read."""
     try:
-        rows = _rows(read_identification(path), given["date"])
+        entry = _contents(read_identification(path), day)
+        # What no table and no terminal takes is found now.
+        table_of([DatasetRow(**row) for row in entry["rows"]])
+        json.dumps(entry, ensure_ascii=False, default=plain).encode()
     except (DataError, *BAD_ENTRY) as error:
         other = f"holds what labpipe did not write ({type(error).__name__}: {error})"
         what = error.what if isinstance(error, DataError) else other
-        rows = [("result", {"verdict": "unreadable", "fault": shorten(what)})]
-    (_, whole), *parts = rows
-    number = _insert(connection, "result", {"path": name, **given, **whole})
-    for table, row in parts:
-        _insert(connection, table, {"result": number, **row})
+        entry = {**dict.fromkeys(OF_RESULT, ""), "date": day, "verdict": "unreadable"}
+        entry |= {"fault": shorten(what), "dataset": False, "rows": []}
+    return entry
 
 
-def _rows(identification: Identification, file_date: str) -> list[tuple[str, dict[str, Any]]]:
-    """The rows of a result with their tables. One of BAD_ENTRY for entries that labpipe does not write."""
+def _contents(identification: Identification, day: str) -> dict[str, Any]:
     conditions = {test: _texts(of_test) for test, of_test in identification.test_conditions.items()}
-    dates = sorted(of_test[DATE] for of_test in conditions.values() if DATE in of_test)
-    entry = {
+    (rig,) = _texts({"rig": identification.rig.get("name", "")}).values()
+    day = max((of_test[DATE] for of_test in conditions.values() if DATE in of_test), default=day)
+    listed = [(of.test, entries_of(of)) for of in listed_parameters(identification)]
+    with_values = {test for test, _ in listed}
+    listed += [(test, {}) for test in conditions if test not in with_values]
+    common = {"rig": rig, "date": day, "source": " ".join(sorted(identification.digests))}
+    return {
         "title": identification.title,
-        "rig": identification.rig.get("name", ""),
-        "pipeline": identification.pipeline,
-        "version": identification.version,
-        "date": dates[-1] if dates else file_date,
+        "rig": rig,
+        "date": day,
         "tests": len(conditions) if identification.dataset is None else identification.dataset.tests,
-        "dataset": int(identification.dataset is not None),
+        "dataset": identification.dataset is not None,
         "verdict": identification.verdict,
         "warnings": ", ".join(sorted(_codes_of(identification))),
-        "sources": " ".join(identification.digests),
+        "fault": "",
+        "rows": [
+            {**common, "test": test, "conditions": conditions.get(test, {}), **row} for test, row in listed
+        ],
     }
-    rows = [("result", entry)]
-    for listed in listed_parameters(identification):
-        date = conditions.get(listed.test, {}).get(DATE, str(entry["date"]))
-        rows.append(("value", _value_row(listed, date)))
-    for test, of_test in conditions.items():
-        for condition, text in of_test.items():
-            amount, unit = amount_of(text)
-            row = {"test": test, "name": condition, "text": text, "amount": amount, "unit": unit}
-            rows.append(("condition", row))
-    return [(table, _check(row)) for table, row in rows]
 
 
 def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
@@ -182,37 +134,6 @@ def _texts(conditions: Mapping[str, Any]) -> dict[str, str]:
         if not isinstance(condition, (str, int, float)):
             raise TypeError(f"{condition!r} is not a condition")
     return {str(name): str(condition) for name, condition in conditions.items()}
-
-
-def _check(row: dict[str, Any]) -> dict[str, Any]:
-    """The row; TypeError or OverflowError for what the index cannot hold."""
-    for name, entry in row.items():
-        if entry is not None and not isinstance(entry, (str, int, float)):
-            raise TypeError(f"{name} is a {type(entry).__name__}")
-        if isinstance(entry, str):
-            entry.encode()
-        if isinstance(entry, int) and abs(entry) >= 1 << 63:
-            raise OverflowError(f"{name} is too large")
-    return row
-
-
-def _value_row(listed: ListedParameter, date: str) -> dict[str, Any]:
-    parameter = listed.parameter
-    low, high = parameter.ci95 or (None, None)
-    same = ("fit", "term", "test", "model", "estimator", "random_error")
-    row = {name: getattr(listed, name) for name in same}
-    row |= {name: getattr(parameter, name) for name in ("value", "unit", "significant")}
-    row |= {"parameter": parameter.name, "std_error": parameter.full_error, "ci_low": low, "ci_high": high}
-    row |= {"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1], "date": date}
-    row |= {name: json.dumps(dict(getattr(listed, name))) for name in BY_SOURCE}
-    return {**row, "warnings": ", ".join(listed.warnings)}
-
-
-def _insert(connection: sqlite3.Connection, table: str, row: dict[str, Any]) -> int:
-    """Add a row and return its number. Table and column names are constants of this module."""
-    marks = ", ".join(f":{name}" for name in row)
-    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({marks})", row)
-    return int(cursor.lastrowid or 0)
 
 
 def _codes_of(identification: Identification) -> set[str]:
@@ -224,14 +145,13 @@ def _codes_of(identification: Identification) -> set[str]:
     return of_fits | of_many | {finding.code for _, finding in pairs if finding.level == WARNING}
 
 
-# Queries of the index: results, and values of parameters, by rig, condition, date, fit and parameter.
+# What of results is asked for: by rig, condition, date, fit and parameter.
 
 _WHERE = re.compile(r"^\s*(?P<name>[\w.-]+)\s*(?P<sign>>=|<=|!=|=|>|<)\s*(?P<bound>.+?)\s*$")
 # Relative tolerance in SI of two amounts written alike.
 SAME = 1e-9
-# Criteria that are patterns of names, and the SQL of one of several texts, which are given as JSON.
+# Criteria that are patterns of names.
 NAMED = ("fit", "test", "parameter")
-_AMONG = "IN (SELECT value FROM json_each(?))"
 
 
 @dataclass(frozen=True)
@@ -248,6 +168,19 @@ class Filter:
     until: str = ""
     where: tuple[str, ...] = ()
     source: str = ""
+
+    def __post_init__(self) -> None:
+        self._ends()
+
+    def _ends(self) -> list[datetime.date | None]:
+        return [checked_day(day) if day else None for day in (self.since, self.until)]
+
+    def covers(self, date: str) -> bool:
+        """Whether a date is one of the days; what is none is neither before nor after another."""
+        (since, until), day = self._ends(), day_of(date)
+        if day is None:
+            return since is until is None
+        return (since is None or day >= since) and (until is None or day <= until)
 
 
 def name_of(path: str) -> str:
@@ -319,80 +252,19 @@ class ValueRow:
 # Columns that are JSON by source, and what a value has beside its columns.
 BY_SOURCE = ("changes", "dofs")
 NOT_COLUMNS = ("conditions", "amounts", "digests", "dated")
+# Columns that are None where there is no such number.
+MAY_LACK = ("std_error", "random_error", "ci_low", "ci_high")
 VALUE_COLUMNS = tuple(field.name for field in fields(ValueRow) if field.name not in NOT_COLUMNS)
 
-# Columns of which no result lacks the number, though it may not be one.
-NUMBERS = ("value", "low_hz", "high_hz")
+
+OF_RESULT = tuple(field.name for field in fields(ResultRow))
 
 
-def results(index: sqlite3.Connection, criteria: Filter) -> list[ResultRow]:
-    """The results with at least one test that meets the criteria, the oldest first."""
-    clauses, bound = _clauses(index, criteria)
-    columns = [field.name for field in fields(ResultRow)]
-    filled = ", ".join(f"coalesce(r.{name}, '')" for name in columns)
-    sql = f"SELECT {filled} FROM result r"
-    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY r.date, r.path", bound)
-    return [ResultRow(**dict(zip(columns, row, strict=True))) for row in rows]
-
-
-def values(index: sqlite3.Connection, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria, by date, result and fit. ConfigError for an unknown name."""
-    clauses, bound = _clauses(index, criteria, "v.date", " AND c.test = v.test")
-    for column in NAMED:
-        if pattern := getattr(criteria, column):
-            names = index.execute(f"SELECT DISTINCT {column} FROM value ORDER BY {column}")
-            clauses.append(f"v.{column} {_AMONG}")
-            bound.append(json.dumps(names_meant(column, pattern, [name for (name,) in names])))
-    columns = ", ".join({"path": "r.path"}.get(name, f"v.{name}") for name in VALUE_COLUMNS)
-    sql = f"SELECT {columns}, r.sources, r.dated, r.id FROM value v JOIN result r ON r.id = v.result"
-    rows = index.execute(f"{sql} WHERE {' AND '.join(clauses)} ORDER BY v.date, r.path, v.id", bound)
-    of_test = functools.cache(functools.partial(_conditions, index))
-    value_rows = []
-    for *row, sources, dated, number in rows:
-        # SQLite has no not-a-number.
-        named = zip(VALUE_COLUMNS, row, strict=True)
-        entries: dict[str, Any] = {
-            name: math.nan if entry is None and name in NUMBERS else entry for name, entry in named
-        }
-        conditions, amounts = of_test(number, entries["test"])
-        entries |= {"conditions": conditions, "amounts": amounts, "digests": frozenset(sources.split())}
-        value_rows.append(ValueRow(**entries, dated="" if DATE in conditions else dated))
-    return value_rows
-
-
-def _conditions(
-    index: sqlite3.Connection, result: int, test: str
-) -> tuple[dict[str, str], dict[str, tuple[float, str]]]:
-    sql = "SELECT name, text, amount, unit FROM condition WHERE result = ? AND test = ?"
-    rows = index.execute(sql, (result, test)).fetchall()
-    texts = {name: text for name, text, _, _ in rows}
-    return texts, {name: (amount, unit) for name, _, amount, unit in rows if amount is not None}
-
-
-def _clauses(
-    index: sqlite3.Connection, criteria: Filter, date: str = "r.date", same_test: str = ""
-) -> tuple[list[str], list[Any]]:
-    clauses, bound = ["1"], []
-    if criteria.rig:
-        rigs = index.execute("SELECT DISTINCT rig FROM result WHERE rig IS NOT NULL")
-        clauses.append(f"r.rig {_AMONG}")
-        bound.append(json.dumps([rig for (rig,) in rigs if is_of_rig(criteria.rig, rig)]))
-    for sign, day in ((">=", criteria.since), ("<=", criteria.until)):
-        if day:
-            # Not a number, which nothing is before or after, for what is not a day.
-            clauses.append(f"date(substr({date}, 1, 10)) {sign} ?")
-            bound.append(checked_day(day))
-    for condition in criteria.where:
-        name, _, _ = split_condition(condition)
-        rows = index.execute("SELECT DISTINCT text, amount, unit FROM condition WHERE name = ?", (name,))
-        amounts = {written: (amount, unit) for written, amount, unit in rows}
-        if not amounts:
-            names = [entry for (entry,) in index.execute("SELECT DISTINCT name FROM condition ORDER BY name")]
-            raise ConfigError(f"no test has the condition '{name}'", hint=nearest(name, names))
-        begin = f"EXISTS (SELECT 1 FROM condition c WHERE c.result = r.id{same_test} AND c.name = ?"
-        clauses.append(f"{begin} AND c.text {_AMONG})")
-        bound.extend([name, json.dumps(meeting(condition, amounts))])
-    return clauses, bound
+def results(index: Index, criteria: Filter) -> list[ResultRow]:
+    """The results of the rig and the days that are asked for, the oldest first."""
+    rows = [ResultRow(**{name: entry[name] for name in OF_RESULT}) for entry in index.values()]
+    rows = [row for row in rows if is_of_rig(criteria.rig, row.rig) and criteria.covers(row.date)]
+    return sorted(rows, key=lambda row: (row.date, row.path))
 
 
 def fits(pattern: str, name: str, flags: int = 0) -> bool:
@@ -413,10 +285,10 @@ def names_meant(column: str, pattern: str, names: Sequence[str]) -> list[str]:
     return kept
 
 
-def checked_day(text: str) -> str:
-    """The day in ISO form; ConfigError for what is none."""
+def checked_day(text: str) -> datetime.date:
+    """The day that a text says; ConfigError for what is none."""
     try:
-        return datetime.date.fromisoformat(text).isoformat()
+        return datetime.date.fromisoformat(text)
     except ValueError:
         raise ConfigError(f"'{text}' is not a date", hint="write it as 2026-11-03") from None
 
@@ -430,7 +302,7 @@ def split_condition(text: str) -> tuple[str, str, str]:
     return match["name"], match["sign"], match["bound"]
 
 
-def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> list[str]:
+def meeting(condition: str, amounts: Mapping[str, tuple[float, str] | None]) -> list[str]:
     """Those of a condition's texts, with their *amounts*, that meet it. ConfigError for one that cannot be
     read, or in another unit than theirs.
     """
@@ -441,14 +313,14 @@ def meeting(condition: str, amounts: Mapping[str, tuple[float | None, str]]) -> 
         if sign not in ("=", "!="):
             raise ConfigError(f"'{condition}': {error.what}", hint=error.hint) from None
         return [text for text in amounts if (text == bound) == (sign == "=")]
-    units = {unit_of_text for _, unit_of_text in amounts.values()}
-    if units and unit not in units:
-        others = ", ".join(sorted(units - {""})) or "words"
+    units = {amount[1] for amount in amounts.values() if amount}
+    if amounts and unit not in units:
+        others = ", ".join(sorted(units)) or "words"
         raise ConfigError(f"'{condition}': the condition '{name}' is in {others}, not in {unit}")
     return [
         text
-        for text, (amount, unit_of_text) in amounts.items()
-        if (sign == "!=" if amount is None or unit_of_text != unit else _is_so(amount, sign, limit))
+        for text, amount in amounts.items()
+        if (sign == "!=" if amount is None or amount[1] != unit else _is_so(amount[0], sign, limit))
     ]
 
 

@@ -1,17 +1,14 @@
-"""What results below a folder hold: search, comparison of two results, trends over conditions or time. Single
-results are found by their index, which spares reading their JSON; those of many tests by their datasets,
-which are asked where they lie.
+"""What results below a folder hold: search, comparison of two results, trends over conditions or time. The
+rows of single results, by their index, and those of datasets, which are asked where they lie, are tables of
+one kind.
 """
 
 from __future__ import annotations
 
-import datetime
-import functools
-import itertools
 import json
-import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,25 +19,25 @@ import pyarrow.compute as pc
 from labpipe import distributions
 from labpipe.arrays import FloatArray
 from labpipe.artefacts import dataset_file
-from labpipe.artefacts.identification_file import NAME
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.project.catalogue import (
     BY_SOURCE,
     DATE,
+    MAY_LACK,
     NAMED,
     VALUE_COLUMNS,
     Filter,
+    Index,
     ResultRow,
     ValueRow,
-    checked_day,
     is_of_rig,
     meeting,
     names_meant,
     open_index,
     results,
     split_condition,
-    values,
 )
+from labpipe.records.dataset import DatasetRow, amount_of, day_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import list_names, nearest
@@ -54,34 +51,44 @@ from labpipe.uncertainty.weighted import (
     straight_trend,
 )
 
-# Columns of the dataset by those of a listed value, where they differ.
-_NAMES = {"std_error": "full_error"}
-_GIVEN = ("path", "date")
 # What gives the date of a test of many without the condition `date`.
 BY_RECORDING = "the last change of its first recording before it was evaluated"
 
+# What reads the rows of some tests, and what is the same of all of them.
+Rows = tuple[Callable[[], pa.Table], Mapping[str, str]]
+Found = TypeVar("Found")
+# Amounts of a condition, SI values and units, by its texts; None of words.
+Amounts = Mapping[str, tuple[float, str] | None]
 
-def dataset_values(folder: Path, name: str, criteria: Filter) -> list[ValueRow]:
-    """The parameters in the dataset of a *folder*, listed as *name*, that meet the criteria, by date and
-    test. ConfigError for a name or a condition that no test has.
+
+def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
+    """The parameters that meet the criteria in all results below a folder, by date and result. ConfigError
+    for an unknown name or condition; DataError for a folder without results.
     """
-    table = _choose(folder, criteria)
-    for column in NAMED:
-        if pattern := getattr(criteria, column):
-            names = [name for name in pc.unique(table[column]).to_pylist() if name is not None]
-            kept = names_meant(column, pattern, names)
-            table = table.filter(pc.is_in(table[column], pa.array(kept, pa.string())))
-    table = _filter_conditions(table, criteria.where)
-    names = list(dataset_file.columns_of_conditions(table.column_names))
-    amounts = {condition: _amounts(table, condition) for condition in names}
-    sorted_rows = table.sort_by([("date", "ascending"), ("test", "ascending")]).to_pylist()
-    rows = [value_row(row, (Path(name) / NAME).as_posix(), amounts) for row in sorted_rows]
-    # A date that is not a day is neither before nor after another.
-    return [row for row in rows if _day(row) is not None or not (criteria.since or criteria.until)]
+    index = open_index(folder)
+    found = _collect(partial(_values, criteria), _all_rows(index, folder, criteria))
+    of_rig = {row.path for row in results(index, Filter(rig=criteria.rig))}
+    rows = sorted((row for row in found if row.path in of_rig), key=lambda row: (row.date, row.path))
+    if not criteria.source:
+        return rows
+    sources = dict.fromkeys(source for row in rows for source in json.loads(row.changes))
+    meant = set(names_meant("source", criteria.source, [*sources]))
+    return [row for row in rows if meant & json.loads(row.changes).keys()]
+
+
+def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
+    """The results with a test that meets the criteria, the oldest first. Errors as of `found_values`."""
+    index = open_index(folder)
+    rows = results(index, criteria)
+    if not criteria.where:
+        return rows
+    met = set(_collect(partial(_paths, criteria), _all_rows(index, folder, criteria)))
+    return [row for row in rows if row.path in met]
 
 
 def dataset_parameters(folder: Path) -> list[ListedParameter]:
     """The parameters in the dataset of a *folder*, by date and test, ready for comparison."""
+    criteria = Filter()
     return [
         ListedParameter(
             fit=row.fit,
@@ -95,13 +102,54 @@ def dataset_parameters(folder: Path) -> list[ListedParameter]:
             changes=json.loads(row.changes),
             dofs=json.loads(row.dofs),
         )
-        for row in dataset_values(folder, ".", Filter())
+        for row in _values(criteria, _dataset_table(folder, criteria), {"path": ".", "dated": ""})
     ]
 
 
-def _choose(folder: Path, criteria: Filter) -> pa.Table:
-    columns = {_NAMES.get(name, name) for name in VALUE_COLUMNS if name not in _GIVEN} | {"source"}
-    chosen = (part for part in dataset_file.parts(folder) if _may_hold(part, criteria))
+def _all_rows(index: Index, folder: Path, criteria: Filter) -> list[Rows]:
+    """Those of single results, where there are any, and of every dataset below a folder."""
+    single: list[Rows] = [(partial(_index_table, index), {})]
+    return [
+        *(single if any(entry["rows"] for entry in index.values()) else []),
+        *(
+            (partial(_dataset_table, (folder / path).parent, criteria), {"path": path, "dated": BY_RECORDING})
+            for path, entry in index.items()
+            if entry["dataset"]
+        ),
+    ]
+
+
+def _collect(
+    choose: Callable[[pa.Table, Mapping[str, str]], list[Found]], asked: Sequence[Rows]
+) -> Iterator[Found]:
+    """What is chosen of all that have what is asked for; the first ConfigError where none has it."""
+    faults: list[ConfigError] = []
+    for read, same in asked:
+        try:
+            yield from choose(read(), same)
+        except ConfigError as error:
+            faults.append(error)
+    if faults and len(faults) == len(asked):
+        raise faults[0]
+
+
+def _index_table(index: Index) -> pa.Table:
+    """The rows of single results, with the *path* of each, and by what it is *dated*."""
+    rows = [(entry, row) for entry in index.values() for row in entry["rows"]]
+    table = dataset_file.table_of([DatasetRow(**row) for _, row in rows])
+    for name in ("path", "dated", "date"):
+        table = table.append_column(name, pa.array([entry[name] for entry, _ in rows], pa.string()))
+    return table
+
+
+def _dataset_table(folder: Path, criteria: Filter) -> pa.Table:
+    """The parameters in the dataset of a folder, by date and test, in its parts of the rig and the days."""
+    columns = {"full_error" if name == "std_error" else name for name in VALUE_COLUMNS} | {"source"}
+    chosen = (
+        part
+        for part in dataset_file.parts(folder)
+        if is_of_rig(criteria.rig, part.rig) and criteria.covers(part.date)
+    )
     tables = [dataset_file.read_part(part, columns) for part in chosen]
     if not tables:
         return pa.table({name: pa.array([], pa.string()) for name in (*NAMED, "date")})
@@ -109,16 +157,10 @@ def _choose(folder: Path, criteria: Filter) -> pa.Table:
     return table.filter(pc.is_valid(table["parameter"]))
 
 
-def _may_hold(part: dataset_file.DatasetPart, criteria: Filter) -> bool:
-    since, until = (checked_day(day) if day else "" for day in (criteria.since, criteria.until))
-    in_time = (not since or part.date >= since) and (not until or part.date <= until)
-    return in_time and (not criteria.rig or is_of_rig(criteria.rig, part.rig))
-
-
-def _filter_conditions(table: pa.Table, conditions: Sequence[str]) -> pa.Table:
-    for text in conditions:
-        table = table.filter(condition_holds(table, text))
-    return table
+def _paths(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[str]:
+    """The files of the results whose tests are at the conditions."""
+    table = table.filter(reduce(pc.and_, (condition_holds(table, text) for text in criteria.where)))
+    return [same["path"]] * min(table.num_rows, 1) if same else pc.unique(table["path"]).to_pylist()
 
 
 def condition_holds(table: pa.Table, text: str) -> Any:
@@ -131,91 +173,46 @@ def condition_holds(table: pa.Table, text: str) -> Any:
     return pc.is_in(table[dataset_file.CONDITION + name], met)
 
 
-def _amounts(table: pa.Table, condition: str) -> dict[str, tuple[float | None, str]]:
-    texts = pc.unique(table[dataset_file.CONDITION + condition]).to_pylist()
-    return {text: dataset_file.amount_of(text) for text in texts if text is not None}
+def _amounts(table: pa.Table, condition: str) -> Amounts:
+    texts = pc.unique(table[dataset_file.CONDITION + condition].drop_null())
+    return {text: amount_of(text) for text in texts.to_pylist()}
 
 
-def value_row(
-    row: dict[str, Any], path: str, amounts: Mapping[str, Mapping[str, tuple[float | None, str]]]
-) -> ValueRow:
-    """A *row* of a dataset at *path*; *amounts*: SI values and units of its conditions by their texts."""
-    given = ("path", *BY_SOURCE)
-    entries = {name: row[_NAMES.get(name, name)] for name in VALUE_COLUMNS if name not in given}
+def _values(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[ValueRow]:
+    """The parameters among the rows of a *table* that meet the criteria; *same*: what all rows share."""
+    holds = [pc.is_valid(table["parameter"]), *(condition_holds(table, text) for text in criteria.where)]
+    for column in NAMED:
+        if pattern := getattr(criteria, column):
+            names = sorted(pc.unique(table[column].drop_null()).to_pylist())
+            kept = names_meant(column, pattern, names)
+            holds.append(pc.is_in(table[column], pa.array(kept, pa.string())))
+    table = table.filter(reduce(pc.and_, holds))
+    conditions = list(dataset_file.columns_of_conditions(table.column_names))
+    if same:
+        table = table.sort_by([("date", "ascending"), ("test", "ascending")])
+    else:
+        # Single results state them in many orders.
+        conditions.sort()
+    amounts = {condition: _amounts(table, condition) for condition in conditions}
+    rows = (value_row({**row, **same}, amounts) for row in table.to_pylist())
+    return [row for row in rows if criteria.covers(row.date)]
+
+
+def value_row(row: dict[str, Any], amounts: Mapping[str, Amounts]) -> ValueRow:
+    """A *row* of a dataset; *amounts*: of its conditions."""
+    row = {**row, "std_error": row["full_error"]}
+    entries = {name: row[name] for name in VALUE_COLUMNS if name not in BY_SOURCE}
+    entries |= {name: None for name in MAY_LACK if entries[name] != entries[name]}
     entries |= {name: json.dumps(dict(row.get(name) or ())) for name in BY_SOURCE}
     texts = {name: text for name in amounts if (text := row[dataset_file.CONDITION + name]) is not None}
-    of_row = {name: amounts[name][text] for name, text in texts.items()}
     entries["date"] = texts.get(DATE, entries["date"])
     return ValueRow(
         **entries,
-        path=path,
         conditions=texts,
-        amounts={name: (amount, unit) for name, (amount, unit) in of_row.items() if amount is not None},
-        digests=frozenset(filter(None, [row.get("source")])),
-        dated="" if DATE in texts else BY_RECORDING,
+        amounts={name: amount for name, text in texts.items() if (amount := amounts[name][text])},
+        digests=frozenset((row.get("source") or "").split()),
+        dated="" if DATE in texts else row["dated"],
     )
-
-
-def _homes(index: sqlite3.Connection, folder: Path) -> dict[str, Path]:
-    rows = index.execute("SELECT path FROM result WHERE dataset = 1 ORDER BY path")
-    return {Path(path).parent.as_posix(): (folder / path).parent for (path,) in rows}
-
-
-Row = TypeVar("Row", ResultRow, ValueRow)
-
-
-def found_values(folder: Path, criteria: Filter) -> list[ValueRow]:
-    """The parameters that meet the criteria in all results below a folder, by date and result. ConfigError
-    for an unknown name or condition; DataError for a folder without results.
-    """
-    with open_index(folder) as index:
-        homes = _homes(index, folder).items()
-        of_datasets = [functools.partial(dataset_values, home, name, criteria) for name, home in homes]
-        rows = _collect_rows(index, functools.partial(values, index, criteria), of_datasets)
-    if not criteria.source:
-        return rows
-    sources = dict.fromkeys(source for row in rows for source in json.loads(row.changes))
-    meant = set(names_meant("source", criteria.source, [*sources]))
-    return [row for row in rows if meant & json.loads(row.changes).keys()]
-
-
-def _keep(row: ResultRow, home: Path, criteria: Filter) -> list[ResultRow]:
-    return [row] if _filter_conditions(_choose(home, criteria), criteria.where).num_rows else []
-
-
-def found_results(folder: Path, criteria: Filter) -> list[ResultRow]:
-    """The results with a test that meets the criteria, the oldest first. Errors as of `found_values`."""
-    with open_index(folder) as index:
-        homes = _homes(index, folder)
-        if not homes or not criteria.where:
-            return results(index, criteria)
-        everything = results(index, Filter(rig=criteria.rig, since=criteria.since, until=criteria.until))
-        pairs = ((row, homes.get(Path(row.path).parent.as_posix())) for row in everything)
-        of_datasets = [
-            functools.partial(_keep, row, home, criteria) for row, home in pairs if home is not None
-        ]
-        return _collect_rows(index, functools.partial(results, index, criteria), of_datasets)
-
-
-def _collect_rows(
-    index: sqlite3.Connection,
-    of_index: Callable[[], list[Row]],
-    of_datasets: Sequence[Callable[[], list[Row]]],
-) -> list[Row]:
-    """The rows of all that have what is asked for; the first ConfigError where none has."""
-    asked: list[Callable[[], list[Row]]] = list(of_datasets)
-    if index.execute("SELECT 1 FROM value LIMIT 1").fetchone():
-        asked.insert(0, of_index)
-    rows: list[Row] = []
-    faults: list[ConfigError] = []
-    for ask in asked:
-        try:
-            rows.extend(ask())
-        except ConfigError as error:
-            faults.append(error)
-    if faults and len(faults) == len(asked):
-        raise faults[0]
-    return sorted(rows, key=lambda row: (row.date, row.path))
 
 
 # Comparison of two results, parameter by parameter.
@@ -400,7 +397,7 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[ParameterSeries]:
         raise ConfigError(f"no test has the amount '{over}'", hint=nearest(over, (*names, DATE)))
     groups: dict[tuple[str, str, str], list[ValueRow]] = {}
     for row in rows:
-        if _day(row) is not None if over == DATE else over in row.amounts:
+        if day_of(row.date) if over == DATE else over in row.amounts:
             title = f"{row.title} {row.band}".rstrip()
             groups.setdefault((title, row.parameter, row.unit), []).append(row)
     return [_series(fit, parameter, over, group) for (fit, parameter, _), group in groups.items()]
@@ -408,7 +405,7 @@ def trends(rows: Sequence[ValueRow], over: str) -> list[ParameterSeries]:
 
 def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> ParameterSeries:
     if over == DATE:
-        days = [datetime.date.fromisoformat(row.date[:10]) for row in rows]
+        days = [day for row in rows if (day := day_of(row.date))]
         condition, unit = [float((day - min(days)).days) for day in days], f"d since {min(days)}"
     else:
         units = sorted({row.amounts[over][1] for row in rows})
@@ -417,21 +414,13 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Pa
             raise ConfigError(what, hint="write it in one dimension")
         condition, unit = [row.amounts[over][0] for row in rows], units[0]
     pairs = sorted(zip(condition, rows, strict=True), key=lambda pair: (pair[0], pair[1].date, pair[1].path))
-    places, of_rows = zip(*pairs, strict=True)
-    values, errors = np.array([(row.value, row.std_error) for row in of_rows], np.float64).T
-    counted = count_once(values, errors, [row.digests for row in of_rows])
-    copies = tuple(row for row, counts in zip(of_rows, counted, strict=True) if not counts)
-    once = tuple(itertools.compress(of_rows, counted))
-    return ParameterSeries(fit, parameter, over, unit, np.array(places)[counted], once, copies)
-
-
-def _day(row: ValueRow) -> datetime.date | None:
-    try:
-        return datetime.date.fromisoformat(row.date[:10])
-    except ValueError:
-        return None
+    once, copies = count_once(pairs, [(row.value, row.std_error, row.digests) for _, row in pairs])
+    places, counted = zip(*once, strict=True)
+    return ParameterSeries(
+        fit, parameter, over, unit, np.array(places), counted, tuple(row for _, row in copies)
+    )
 
 
 def undated_rows(rows: Sequence[ValueRow]) -> list[ValueRow]:
     """The values whose date is none."""
-    return [row for row in rows if _day(row) is None]
+    return [row for row in rows if day_of(row.date) is None]

@@ -16,7 +16,7 @@ from labpipe.project.judging import comparison_outcome, matrix_outcome
 from labpipe.project.marked_yaml import set_entry
 from labpipe.project.pipeline_file import read_comparison, read_matrix
 from labpipe.project.work import COMPARE_PREFIX, Work
-from labpipe.quantities import UnitError, name_of_dimension, parse_unit, parse_value
+from labpipe.quantities import locate_units, name_of_dimension, parse_unit, parse_value
 from labpipe.raw_files.table import open_table
 from labpipe.records.comparison import (
     Comparison,
@@ -165,10 +165,8 @@ def _table_theory(path: Path, over: Sequence[str], tolerance: float) -> PointThe
 
     def in_si(name: str, unit: str | None) -> FloatArray:
         values, text = columns[name]
-        try:
+        with locate_units(path, DataError, f"column '{name}': "):
             factor, offset = _to_si(text, unit) if text else (1.0, 0.0)
-        except UnitError as error:
-            raise DataError(f"column '{name}': {error.what}", path, error.hint) from None
         return values * factor + offset
 
     coefficients = {

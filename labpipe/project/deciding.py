@@ -46,13 +46,11 @@ def decide(
     """
     decision = rule.decision
     assert decision is not None
-    try:
+    with rule.faults_of_units():
         limits = limits_of(decision, unit)
         process = _process(decision, unit)
         written = written_unit(decision.low or decision.high)
         shown = "" if value is None else text_in(written, value, error, unit)
-    except UnitError as fault:
-        raise rule.fault(fault.what, fault.hint) from None
     if value is None or not math.isfinite(value):
         return None, False, "not judged: there is no value", None
     if error is None or not math.isfinite(error):

@@ -41,10 +41,8 @@ def read_constants(node: Marked | None, channels: Collection[str], faults: Fault
     for name, entry in faults.mapping(node, "constants").items():
         if name in channels:
             faults.add(entry, join("constants", name), "is a channel already", "give it another name")
-        try:
+        with faults.of_unit(entry, join("constants", name)):
             constants[name] = parse_factor(shorten_number(entry).text, name)
-        except UnitError as error:
-            faults.add_unit(entry, join("constants", name), error)
     return constants
 
 
@@ -122,14 +120,14 @@ class SumReader:
         return parse_factor(piece, within if piece != term else name)
 
     def _check_unit(self, factors: list[TermFactor], member: str, text: str, name: str) -> None:
-        wanted = parse_unit(QUANTITIES[self.quantities[name]].si_unit).dimension
+        quantity = self.quantities[name]
+        unit = QUANTITIES[quantity].si_unit
+        wanted = parse_unit(unit).dimension
         of_member = parse_unit(QUANTITIES[self.quantities[member]].si_unit).dimension
         total = of_member
         for factor in factors:
             total = _combine(total, factor.dimension, 1)
         if any(abs(power) > 1e-9 for power in _combine(total, wanted, -1)):
-            unit = QUANTITIES[self.quantities[name]].si_unit
-            quantity = self.quantities[name]
             what = f"'{text}' is in {name_of_dimension(total)}, {unit} is needed for a {quantity}"
             needed = name_of_dimension(_combine(wanted, of_member, -1))
             needed = "a pure number" if needed == "1" else f"in {needed}"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from labpipe import __version__
@@ -55,12 +54,12 @@ def identify_stage(
     """
     basis = Identification(
         fits=(),
-        sources=tuple(asdict(source) for source in measured.sources),
+        sources=tuple(map(entry_of, measured.sources)),
         settings=settings_entry(pipeline, measured.tests),
         rig=rig_entry(pipeline),
         version=__version__,
         failed=measured.failed,
-        inputs=tuple(asdict(reference) for reference in measured.inputs),
+        inputs=tuple(map(entry_of, measured.inputs)),
         code=code_digest(),
     )
     existing = _existing(output)
@@ -132,7 +131,7 @@ def settings_entry(pipeline: Pipeline, tests: Sequence[MeasuredTest] = ()) -> di
         "title": pipeline.title,
         "pipeline": pipeline.path.name,
     }
-    return json.loads(json.dumps(entry_of(entry)))
+    return entry_of(entry)
 
 
 def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
@@ -144,4 +143,4 @@ def _test_entry(test: Test, conditions: Mapping[str, Any]) -> dict[str, Any]:
 def rig_entry(pipeline: Pipeline) -> dict[str, Any]:
     """The rig as the report shows it."""
     rig = pipeline.first_rig
-    return {} if rig is None else json.loads(json.dumps(asdict(rig)))
+    return {} if rig is None else entry_of(rig)

@@ -281,13 +281,12 @@ def _check_rate(table: RawTable, rig: Rig) -> None:
 
 def check_table(table: RawTable, rig: Rig) -> list[str]:
     """The columns of the rig's channels, the time first. DataError for a missing one or another unit."""
-    timed = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
-    check_columns(table, timed)
+    check_columns(table, rig.columns)
     check_time(table, rig.time)
     _check_rate(table, rig)
     for channel in rig.channels:
         _check_unit(table, channel)
-    return timed
+    return rig.columns
 
 
 def channel_screen(rig: Rig) -> ChannelScreen:
@@ -336,8 +335,7 @@ class Calibration:
 
 def contradictions(table: RawTable, rig: Rig) -> list[DataError]:
     """Every point in which a file and a rig file do not agree: columns, units, rate."""
-    columns = [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]
-    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in columns]
+    checks: list[Callable[[], object]] = [partial(check_columns, table, [name]) for name in rig.columns]
     checks.extend(partial(_check_unit, table, channel) for channel in rig.channels)
     checks += [partial(check_time, table, rig.time), partial(_check_rate, table, rig)]
     if rig.time is None:

@@ -22,7 +22,7 @@ from labpipe.registry import nearest
 
 # (rule, value, unit, standard uncertainty) -> what is compared
 CompareNumber = Callable[..., deciding.Compared]
-_COMPARE = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
+_COMPARE = {"=": operator.eq, ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
 
 
 def compare_number(
@@ -34,16 +34,12 @@ def compare_number(
     """
     if rule.decision is not None:
         return deciding.decide(rule, value, error, unit, expanded)
-    try:
+    with rule.faults_of_units():
         text = "" if value is None else found_text(rule, value, unit)
         if rule.kind == "+-":
             wanted = parse_uncertain(rule.bound, unit)
             return value, value is not None and abs(value - wanted.value) <= wanted.std_error, text, None
         bound = parse_value(rule.bound, unit)
-    except UnitError as error:
-        raise rule.fault(error.what, error.hint) from None
-    if rule.kind == "=":
-        return value, value is not None and value == bound, text, None
     return value, value is not None and bool(_COMPARE[rule.kind](value, bound)), text, None
 
 
@@ -54,14 +50,12 @@ def found_text(rule: Rule, value: float, unit: str) -> str:
 
 def compare_covers(rule: Rule, ci95: tuple[float, float] | None, unit: str) -> deciding.Compared:
     """Whether a 95 % interval [*unit*, SI] covers the value of the rule."""
-    try:
+    with rule.faults_of_units():
         wanted = parse_value(rule.bound, unit)
         if ci95 is None:
             return "no interval", False, "no interval", None
         low, high = ci95
         ends = " to ".join(found_text(rule, end, unit) for end in (low, high))
-    except UnitError as error:
-        raise rule.fault(error.what, error.hint) from None
     return f"{low:.6g} to {high:.6g}", low <= wanted <= high, ends, None
 
 
@@ -94,13 +88,9 @@ def judge(
         except ConfigError:
             if not incomplete:
                 raise
-            outcomes.append(missing_outcome(rule))
+            # It addresses what an incomplete result does not have.
+            outcomes.append(rule.outcome(None, False))
     return (*outcomes, *forbidden(rules, fits))
-
-
-def missing_outcome(rule: Rule) -> RuleOutcome:
-    """The failed outcome of a rule that addresses what an incomplete result does not have."""
-    return rule.outcome(None, False)
 
 
 def forbidden(rules: Iterable[Rule], fits: Sequence[Fit]) -> tuple[RuleOutcome, ...]:
@@ -139,11 +129,8 @@ def judge_joint_rule(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]
     """
     numbers: list[deciding.Limited] = []
     for member in rule.together:
-        try:
+        with replace(member, address=f"{rule.address}.{member.address}").faults_of_units():
             numbers.extend(_limit(member, fits, records))
-        except UnitError as error:
-            inner = replace(member, address=f"{rule.address}.{member.address}")
-            raise inner.fault(error.what, error.hint) from None
     return deciding.decided_together(rule, numbers)
 
 

@@ -18,7 +18,7 @@ from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
 from labpipe.estimation.levels import LEVELS
 from labpipe.project.identify import rig_entry, settings_entry
-from labpipe.project.judging import missing_outcome, whole_outcome
+from labpipe.project.judging import whole_outcome
 from labpipe.project.one_test import Done, Job, failed_result
 from labpipe.project.pipeline_file import Pipeline
 from labpipe.project.rules import Rule
@@ -148,13 +148,13 @@ def _outcomes(rules: Sequence[Rule], summary: DatasetSummary) -> Iterator[RuleOu
         except ConfigError:
             if not summary.failed:
                 raise
-            yield missing_outcome(rule)
+            yield rule.outcome(None, False)
 
 
 def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
     for part in parts(output.target):
         try:
-            read_header(part.path, "")
+            read_header(part.path)
         except DamagedError as error:
             output.remarks.append(made_again(error, part.path))
         name = part.path.relative_to(output.target).as_posix()

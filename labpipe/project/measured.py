@@ -28,7 +28,7 @@ from labpipe.artefacts.measured_files import (
 from labpipe.artefacts.parquet import fresh_path
 from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.errors import ConfigError, DataError, LabpipeError
+from labpipe.errors import ConfigError, DataError, locate_errors
 from labpipe.project.ingest import RawRecording
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
@@ -188,10 +188,8 @@ def measure_test(
     if there and (existing := fresh_path(output, name, header())) is not None:
         return kind.read(existing)
     try:
-        result = measurement(recordings, settings, name=test, conditions=conditions)
-    except LabpipeError as error:
-        error.where = error.where or list_sources(recordings)
-        raise
+        with locate_errors(list_sources(recordings)):
+            result = measurement(recordings, settings, name=test, conditions=conditions)
     except LinAlgError as error:
         what = f"a matrix of spectra has no solution ({error})"
         raise DataError(what, list_sources(recordings), ALIKE) from error

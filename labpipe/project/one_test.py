@@ -18,7 +18,7 @@ from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_condit
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
-from labpipe.artefacts.parquet import header_of, made_again
+from labpipe.artefacts.parquet import made_again, read_header
 from labpipe.artefacts.places import StorageError, fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING, StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
@@ -51,7 +51,7 @@ from labpipe.project.work import fits_of, with_repeats_of
 from labpipe.quantities import QUANTITIES, to_display
 from labpipe.raw_files.screening import ChannelScreen
 from labpipe.raw_files.table import open_table
-from labpipe.records.dataset import DatasetRow, TestResult, is_accepted, rows_of_fit
+from labpipe.records.dataset import DatasetRow, TestResult, day_of, is_accepted, rows_of_fit
 from labpipe.records.finding import Finding
 from labpipe.records.identification import Failed, Fit, Identification
 from labpipe.records.response import FrequencyResponse
@@ -144,10 +144,8 @@ def identity(test: Test, conditions: Mapping[str, str]) -> dict[str, object]:
 
 def stated_day(conditions: Mapping[str, str]) -> str:
     """The day that the condition `date` states, ISO 8601; '' without one."""
-    try:
-        return datetime.date.fromisoformat(str(conditions.get(DATE, ""))[:10]).isoformat()
-    except ValueError:
-        return ""
+    day = day_of(conditions.get(DATE, ""))
+    return day.isoformat() if day else ""
 
 
 def files_of(test: Test) -> list[Path]:
@@ -277,7 +275,7 @@ def _result(job: Job, rules: Sequence[Rule], sources: Sequence[SourceRef]) -> Te
     fits, digest = fits_with_digest(job.target / job.fits_name) if job.fits else ([], "")
     conditions, findings = job.test.conditions, []
     if job.test.recordings:
-        header = header_of(job.target / job.measured_name)
+        header = read_header(job.target / job.measured_name)
         conditions, findings = header.contents["conditions"], list(header.findings)
     return result_of_test(job.test, conditions, fits, findings, rules, sources, digest)
 
@@ -361,7 +359,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
     path = job.target / job.measured_name
     if not path.exists():
         raise DataError("no such file", path, "run `labpipe frf` first, or `labpipe run` for all stages")
-    header = header_of(path)
+    header = read_header(path)
     made = header.parameters
     conditions = {**dict.fromkeys(job.test.conditions), **made.get("conditions", {})}
     check_made_with("frf", made.get("frf", {}), asdict(job.frf) if job.frf else {}, path, AGAIN)
@@ -374,7 +372,7 @@ def sources_before(job: Job) -> tuple[SourceRef, ...]:
             for source, name in zip(job.test.recordings, job.names, strict=True)
         ]
         # One that is gone tells nothing of its rig.
-        headers = [header_of(recording) if recording.exists() else None for recording in calibrated]
+        headers = [read_header(recording) if recording.exists() else None for recording in calibrated]
         rigs = [recording.parameters if recording else {} for recording in headers]
         recorded = [reference for recording in headers if recording for reference in recording.inputs]
         recorded = recorded if None not in headers else []

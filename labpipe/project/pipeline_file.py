@@ -9,10 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from labpipe.artefacts.digest import DamagedError
-from labpipe.artefacts.json_file import read_digested
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
+from labpipe.project.calibrations import readable_result
 from labpipe.project.ingest import SourceFile
 from labpipe.project.marked_yaml import Marked, load_marked, text_of
 from labpipe.project.rules import Rule, read_rules
@@ -101,13 +100,11 @@ def read_uncertainty(node: Marked, faults: Faults) -> Callable[..., FitSettings]
     for name, entry in settings.repeatability:
         key = join("uncertainty.repeatability", name)
         written = node.content["repeatability"].content[name]
-        try:
+        at = "file" if entry.file else "size"
+        with faults.of_unit(written.content[at], join(key, at)):
             repeats.append(
                 _measured_source(name, entry, faults.folder) if entry.file else _known_source(name, entry)
             )
-        except UnitError as error:
-            at = "file" if entry.file else "size"
-            faults.add_unit(written.content[at], join(key, at), error)
     return partial(settings.of, repeats=tuple(repeats)) if len(faults) == before else None
 
 
@@ -122,15 +119,10 @@ def _known_source(name: str, settings: RepeatSettings) -> RepeatSource:
 
 def _measured_source(name: str, settings: RepeatSettings, folder: Path) -> RepeatSource:
     """The relative scatter between settings of a repeatability test, with one dof less than settings."""
-    try:
-        comparisons = read_digested(folder / settings.file, "identification.json").get("comparisons") or []
-        repeatable = (entry for entry in comparisons if entry["kind"] == "repeatability")
+    unreadable = f"'{settings.file}' is not a readable identification.json"
+    with readable_result(folder / settings.file, unreadable) as result:
+        repeatable = (e for e in result.get("comparisons") or [] if e["kind"] == "repeatability")
         repeatabilities: Mapping[str, Any] = {entry["name"]: entry for entry in repeatable}
-    except DamagedError as error:
-        what = f"'{settings.file}' is not a readable identification.json: {error.what}"
-        raise UnitError(what, error.hint) from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UnitError(f"'{settings.file}' is not a readable identification.json") from None
     if settings.comparison not in repeatabilities:
         hint = "it needs a comparison of kind: repeatability"
         hint = nearest(settings.comparison, repeatabilities) if repeatabilities else hint
@@ -334,7 +326,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
         if reader.rig is None and not len(reader.faults):
             raise ConfigError("no rig file is named", path, "add rig: FILE")
         source = () if reader.rig is None else (SourceFile(path, reader.rig),)
-        return (Test("", source, frf=per_file[0].frf),)
+        return (Test("", source, frf=per_file[0].common.frf),)
 
     return replace(_load(path, overrides, imagine_tests), tests=()), per_file[0]
 

@@ -240,10 +240,8 @@ def _read_sums(
         if read is None:
             continue
         settings[name] = read
-        try:
+        with faults.of_unit(entry.content["derived"], join("channels", name, "derived")):
             terms[name] = reader.terms(read.derived, name)
-        except UnitError as error:
-            faults.add_unit(entry.content["derived"], join("channels", name, "derived"), error)
     names = {*terms, *(channel.channel.name for channel in recorded)}
     whole = {name: sum_ for name, sum_ in terms.items() if all(term.channel in names for term in sum_)}
     channels = (_sum_channel(name, sums[name], settings[name], whole, recorded, faults) for name in whole)
@@ -260,11 +258,9 @@ def _sum_channel(
 ) -> Channel | None:
     """A sum with its members' common delay and response. Where they differ the FRF refuses it."""
     key = join("channels", name)
-    try:
+    terms: tuple[SumTerm, ...] = ()
+    with faults.of_unit(entry.content["derived"], join(key, "derived")):
         terms = expand(sums, name)
-    except UnitError as error:
-        faults.add_unit(entry.content["derived"], join(key, "derived"), error)
-        return None
     by_name = {channel.channel.name: channel.channel for channel in recorded}
     members = [by_name[term.channel] for term in terms if term.channel in by_name]
     chains = {(member.delay, member.response) for member in members}
@@ -326,47 +322,38 @@ def _direction(dof: str, node: Marked, key: str, faults: Faults) -> tuple[str, f
     if dof in AXIS_ANGLES:
         return dof, AXIS_ANGLES[dof]
     if re.match(r"^\s*[+-]?[\d.]", dof) and " " in dof.strip():
-        try:
+        with faults.of_unit(node.content.get("dof", node), join(key, "dof")):
             return dof, parse_value(dof, "rad")
-        except UnitError as error:
-            faults.add_unit(node.content.get("dof", node), join(key, "dof"), error)
     return dof, None
 
 
 def _response(
     settings: ChannelSettings, node: Marked, key: str, faults: Faults
 ) -> tuple[tuple[float, float, float], ...]:
-    if not settings.response:
-        return ()
-    try:
-        return calibrations.read_sensor_response(node.folder_of("response") / settings.response)
-    except UnitError as error:
-        faults.add_unit(node.content["response"], join(key, "response"), error)
-        return ()
+    if settings.response:
+        with faults.of_unit(node.content["response"], join(key, "response")):
+            return calibrations.read_sensor_response(node.folder_of("response") / settings.response)
+    return ()
 
 
 def _calibration(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -> tuple[float, float]:
     """(scale, offset) from the recorded number to SI: directly by the unit, or through the sensitivity."""
     si_unit = QUANTITIES[settings.quantity].si_unit
     text, unit_node = settings.unit or si_unit, node.content.get("unit", node)
-    try:
+    with faults.of_unit(unit_node, join(key, "unit")):
         unit = parse_unit(text)
-    except UnitError as error:
-        faults.add_unit(unit_node, join(key, "unit"), error)
-        return 1.0, 0.0
-    if not settings.sensitivity:
+        if settings.sensitivity:
+            with faults.of_unit(node.content["sensitivity"], join(key, "sensitivity")):
+                stated = split_uncertainty(settings.sensitivity)[0]
+                return unit.factor / _sensitivity(stated, unit, si_unit, node), 0.0
+            return 1.0, 0.0
         try:
             unit = unit_of(text, si_unit)
         except UnitError as error:
-            hint = f"or state the sensor's 'sensitivity: 10 {text}/({si_unit})'"
-            faults.add(unit_node, join(key, "unit"), error.what, hint)
+            error.hint = f"or state the sensor's 'sensitivity: 10 {text}/({si_unit})'"
+            raise
         return unit.factor, unit.offset
-    try:
-        stated = split_uncertainty(settings.sensitivity)[0]
-        return unit.factor / _sensitivity(stated, unit, si_unit, node), 0.0
-    except UnitError as error:
-        faults.add_unit(node.content["sensitivity"], join(key, "sensitivity"), error)
-        return 1.0, 0.0
+    return 1.0, 0.0
 
 
 def _sensitivity(text: str, unit: Unit, si_unit: str, node: Marked) -> float:
@@ -396,15 +383,13 @@ def _limits(settings: ChannelSettings, node: Marked, key: str, faults: Faults) -
         return None
     low, dots, high = str(settings.range).partition("..")
     unit = settings.unit or QUANTITIES[settings.quantity].si_unit
-    try:
+    with faults.of_unit(node.content["range"], join(key, "range")):
         upper = parse_value((high if dots else low).strip(), unit)
         lower = parse_value(low.strip(), unit) if dots else -upper
-    except UnitError as error:
-        faults.add_unit(node.content["range"], join(key, "range"), error)
-        return None
-    if lower >= upper:
-        faults.add_at(node.content, key, "range", "must rise", "for example '-10 V .. 10 V'")
-    return lower, upper
+        if lower >= upper:
+            faults.add_at(node.content, key, "range", "must rise", "for example '-10 V .. 10 V'")
+        return lower, upper
+    return None
 
 
 RIG_FILE = FileKind(load_rig)

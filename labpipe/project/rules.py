@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -12,7 +13,7 @@ from typing import Any
 from labpipe.errors import ConfigError
 from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.settings_reader import Faults, join, list_entries
-from labpipe.quantities import UnitError, parse_unit, parse_value, written_unit
+from labpipe.quantities import locate_units, parse_unit, parse_value, written_unit
 from labpipe.records.identification import RuleDecision, RuleOutcome
 from labpipe.records.uncertain import qualities_of, split_uncertainty
 from labpipe.registry import nearest
@@ -94,6 +95,10 @@ class Rule:
     def fault(self, what: str, hint: str = "") -> ConfigError:
         """What is wrong with the rule, at its place."""
         return ConfigError(f"{self.section}.{self.address}: {what}", self.place, hint)
+
+    def faults_of_units(self) -> AbstractContextManager[None]:
+        """A UnitError of the block becomes a fault of the rule."""
+        return locate_units(self.place, before=f"{self.section}.{self.address}: ")
 
     def outcome(
         self, value: float | str | None, passed: bool, shown: str = "", decision: RuleDecision | None = None
@@ -263,10 +268,8 @@ def _read_limits(entry: Marked, key: str, faults: Faults) -> tuple[str, str]:
         return "", ""
     amounts = []
     for text, node in zip(texts, pair, strict=True):
-        try:
+        with faults.of_unit(node or entry, join(key, "limits")):
             amounts += [_amount(text)] if text else []
-        except UnitError as error:
-            faults.add_unit(node or entry, join(key, "limits"), error)
     if len(amounts) == 2 and amounts[0][1] == amounts[1][1] and not amounts[0][0] < amounts[1][0]:
         faults.add(nodes.get("limits", entry), join(key, "limits"), "the lower limit comes first")
     return texts[0], texts[1]
@@ -281,14 +284,12 @@ def _amount(text: str) -> tuple[float, Any]:
 def _read_number(node: Marked | None, key: str, faults: Faults, within: tuple[float, float]) -> float | None:
     if node is None:
         return None
-    try:
+    with faults.of_unit(node, key):
         value = parse_value(node.text, "1")
-    except UnitError as error:
-        faults.add_unit(node, key, error)
-        return None
-    if not within[0] < value < within[1]:
-        faults.add(node, key, f"must lie between {within[0]:g} and {within[1]:g}")
-    return value
+        if not within[0] < value < within[1]:
+            faults.add(node, key, f"must lie between {within[0]:g} and {within[1]:g}")
+        return value
+    return None
 
 
 def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, ...]:
@@ -317,7 +318,11 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str, verdicts: tu
             faults.add(entry, key, f"'{what}' is compared with a word, not a number", "write the word alone")
         elif what == "significant" and text not in ("true", "false"):
             faults.add(entry, key, f"'{text}' is neither true nor false")
-        elif what == EVERY_WARNING and (hint := _spelling(code)):
+        elif (
+            what == EVERY_WARNING
+            and code not in _warnings()
+            and (hint := nearest(code, _warnings())).startswith("did you mean")
+        ):
             faults.add(entry, key, f"unknown warning '{code}'", hint)
         elif what == "verdict" and verdicts and text not in verdicts:
             faults.add(entry, key, f"unknown verdict '{text}'", nearest(text, verdicts))
@@ -326,11 +331,6 @@ def _rule_texts(entry: Marked, key: str, faults: Faults, item: str, verdicts: tu
             what = f"'{', '.join(qualities)}' is of an uncertainty, and a rule states a half width"
             faults.add(entry, key, what, "write for example '45.2 kN/m +- 1 %', or use limits")
     return texts
-
-
-def _spelling(code: str) -> str:
-    hint = "" if code in _warnings() else nearest(code, _warnings())
-    return hint if hint.startswith("did you mean") else ""
 
 
 @cache

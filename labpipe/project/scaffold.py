@@ -39,16 +39,16 @@ from labpipe.project.ready_response import is_response, load_described, load_res
 from labpipe.project.rig_file import DEFAULT_ROLES
 from labpipe.project.settings_reader import DECIDE
 from labpipe.project.tests import ReadyFrf
-from labpipe.quantities import UnitError, unit_of
 from labpipe.raw_files.first_look import Excitation
 from labpipe.raw_files.joined_table import JoinedTable
 from labpipe.raw_files.table import guard, open_table
 from labpipe.raw_files.text_table import plain_suffix
 from labpipe.raw_files.uff import UFF_SUFFIXES
-from labpipe.records.frf_layout import MECHANICAL, FrfLayout
-from labpipe.records.response import FORMS
+from labpipe.records.frf_layout import FrfLayout, form_of_unit
 
 MARK = "# <- decide:"
+# What stands where a person must decide, before what.
+OPEN = f"{DECIDE}    {MARK}"
 # What init asks for: no recording shows it.
 NOT_SHOWN = (
     "# mass: 1 kg                   # that moves with the response; without it the mass is estimated",
@@ -97,13 +97,13 @@ def _scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     paths = [Path(os.path.relpath(path, folder)).as_posix() for path in files]
     if is_response(files[0]):
         try:
-            return Scaffold("", _pipeline_of_responses(files, paths, conditions))
+            return Scaffold("", _text(_pipeline_of_responses(files, paths, conditions)))
         except DataError:
             if plain_suffix(files[0]) not in UFF_SUFFIXES:
                 raise
     guessed = guard(guessed_frf, files[0]) if files[0].is_file() else None
     if guessed is not None:
-        return Scaffold("", _pipeline_of_tables(guessed, files, paths))
+        return Scaffold("", _text(_pipeline_of_tables(guessed, files, paths)))
     running = [len(files) > 1 and _is_run_up(file) for file in files]
     together: list[str] = []
     if any(running) and not all(running):
@@ -120,12 +120,16 @@ def _scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     tests = Tests(files, paths, conditions)
     others = [] if len(paths) == 1 else [first_look(open_table(file)) for file in tests.looked_at()]
     tacho = None if first.column_of("input") else turning_tacho(first)
-    pipeline = _pipeline(first, tests, tacho, others) + "".join(f"{line}\n" for line in together)
+    pipeline = _text([*_pipeline(first, tests, tacho, others), *together])
     if references:
         pipeline += BESIDE.format(", ".join(references))
     if "model: modal" in pipeline:
         first = first.move_forces_apart()
-    return Scaffold(_rig(first, files[0]), pipeline, tacho)
+    return Scaffold(_text(_rig(first, files[0])), pipeline, tacho)
+
+
+def _text(lines: Sequence[str]) -> str:
+    return "\n".join(lines) + "\n"
 
 
 def _join_files(files: Sequence[Path]) -> JoinedTable | None:
@@ -161,7 +165,7 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
     lines = [
         "# Tests at rest and run-ups of one rotor are one posterior; of another rotor, leave it out.",
         "rotor_system:",
-        f"  rotor: {DECIDE}    {MARK} the rotor file, with what is known of it and how well",
+        f"  rotor: {OPEN} the rotor file, with what is known of it and how well",
         f"  small_errors: {{together: {DECIDE}}}    {MARK} how much all bearings may change together between "
         "rest and speed, 30 % for example, 0 % where they cannot; a run-up below the critical speed hardly "
         "tells it",
@@ -178,13 +182,13 @@ def _rotor_lines(files: Sequence[Path], paths: Sequence[str], running: Sequence[
     return lines
 
 
-def _rig(first: FirstLook, path: Path) -> str:
+def _rig(first: FirstLook, path: Path) -> list[str]:
     lines = [f"# The rig, as far as {path.name} describes it. Marked lines need a decision.", "name: My rig"]
     if first.time:
         lines.append(f"time: {quote(first.time)}")
     elif not first.rate:
         what = "the sampling rate, for example 20 kHz; the file does not state it"
-        lines.append(f"sample_rate: {DECIDE}    {MARK} {what}")
+        lines.append(f"sample_rate: {OPEN} {what}")
     lines.append("channels:                      # key = the name used everywhere else")
     undecided = [channel for channel in first.channels if channel.unit == DECIDE]
     open_units = [channel.quantity for channel in undecided if channel.quantity != DECIDE]
@@ -195,9 +199,7 @@ def _rig(first: FirstLook, path: Path) -> str:
         lines.append(channel_line(channel, anchor if several else ""))
         if channel.unit == DECIDE:
             seen.add(channel.quantity)
-    lines.extend(f"# not used: {unused}" for unused in first.unused)
-    lines.extend(NOT_SHOWN)
-    return "\n".join(lines) + "\n"
+    return [*lines, *(f"# not used: {unused}" for unused in first.unused), *NOT_SHOWN]
 
 
 def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
@@ -217,7 +219,7 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
     return f"  {channel.key}: {{{listed}}}{decisions}".replace(f'"{DECIDE}"', DECIDE)
 
 
-def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequence[FirstLook]) -> str:
+def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequence[FirstLook]) -> list[str]:
     paths = tests.paths
     inputs, outputs = first.column_of("input"), first.column_of("output")
     excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
@@ -248,9 +250,8 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
         "identify:",
     ]
     if decays:
-        lines += [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
-        return "\n".join(lines) + "\n"
-    unknown = f"{DECIDE}    {MARK} the channel of {{}}, once rig.yaml knows one"
+        return lines + [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
+    unknown = f"{OPEN} the channel of {{}}, once rig.yaml knows one"
     force = first.channels[inputs[0]].key if inputs else unknown.format("the force")
     keys = [first.channels[number].key for number in outputs]
     keys = keys or [channel.key for channel in first.channels if channel.quantity == DECIDE]
@@ -264,7 +265,7 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
     common = [] if of_base else _common_fit(first, peaks, excitation)
     lines.extend(common or _lines_of_all_fits(force, fits))
     coupled = "# Coupled responses: model: mdof, with one force after the other. See docs/pages/models.md."
-    return "\n".join([*lines, coupled]) + "\n"
+    return [*lines, coupled]
 
 
 # Responses that look like a mode, from which on all of them are one modal test.
@@ -281,13 +282,15 @@ DRIVES = "drives the shaker: lines that it lacks are distortion, no excitation"
 
 def _decay_lines(output: str, band: tuple[float, float], rate: float) -> list[str]:
     lines = [f"  ring_{output}:", "    model: decay", "    modes: 1", f"    output: {output}"]
-    if rate:
-        lines.append(remark(f"    band: {band[0]:.4g}-{band[1]:.4g} Hz", "around the highest peak"))
-    return lines
+    return [*lines, _band_line(*band, "around the highest peak", 4)] if rate else lines
 
 
-def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> str:
-    lines = [
+def _band_line(low: float, high: float, why: str, digits: int = 6) -> str:
+    return remark(f"    band: {low:.{digits}g}-{high:.{digits}g} Hz", why)
+
+
+def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> list[str]:
+    return [
         "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths "
         "are relative to this file.",
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
@@ -300,16 +303,15 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "  film:",
         "    model: dynamic-stiffness",
         "    dynamic_stiffness:",
-        f"      stator_mass: {DECIDE}    {MARK} the mass that moves with the stator, with its uncertainty: "
+        f"      stator_mass: {OPEN} the mass that moves with the stator, with its uncertainty: "
         "60 kg +- 0.1 kg",
     ]
-    return "\n".join(lines) + "\n"
 
 
 def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
     if excitation is None:
         kinds = "periodic (with period: 1 s), random or impact (with block: 1 s), decay (no force)"
-        return ["frf:", f"  excitation: {DECIDE}    {MARK} {kinds}"]
+        return ["frf:", f"  excitation: {OPEN} {kinds}"]
     why = {
         "periodic": f"period of {excitation.length} samples, {excitation.repeats} times",
         "random": "force without a period",
@@ -318,14 +320,16 @@ def _frf_lines(excitation: Excitation | None, rate: float) -> list[str]:
         "sweep": f"{excitation.repeats} sweep(s)",
     }[excitation.kind]
     low, high = excitation.band
-    length = f"{DECIDE}    {MARK} the time that {excitation.length} samples take"
+    length = f"{OPEN} the time that {excitation.length} samples take"
     length = f"{excitation.length / rate:.12g} s" if rate else length
     lines = ["frf:", remark(f"  excitation: {excitation.kind}", why)]
     if excitation.kind in ("random", "impact"):
         lines.append(f"  block: {length}")
     if excitation.kind == "periodic":
-        lines.append(f"  period: {length}")
-        lines.append(remark(f"  skip: {1 if excitation.repeats > 2 else 0}", "transient periods"))
+        lines += [
+            f"  period: {length}",
+            remark(f"  skip: {int(excitation.repeats > 2)}", "transient periods"),
+        ]
     if rate and excitation.kind != "stepped-sine":
         # The line at 0 Hz says nothing of a motion.
         low = low or rate / excitation.length
@@ -360,16 +364,15 @@ def _common_fit(first: FirstLook, peaks: Mapping[str, Proposal], excitation: Exc
         what = "all responses together; `sdof` gives k and c where force and response meet"
         low, high = excitation.band
         low = low or 1 / (excitation.length / first.rate)
-        band = remark(f"    band: {low:.6g}-{high:.6g} Hz", "a narrower one is fitted faster")
+        band = _band_line(low, high, "a narrower one is fitted faster")
         return ["  modes:", remark("    model: modal", what), band]
     if len(forces) != 2 or sorted(forces) != sorted(responses) or not set(forces) < set("xyz"):
         return []
-    mass = f"    mass: {DECIDE}    {MARK} what moves in the bearings, with its uncertainty: 1 kg +- 0.01 kg"
+    mass = f"    mass: {OPEN} what moves in the bearings, with its uncertainty: 1 kg +- 0.01 kg"
     lines = ["  rotor:", remark("    model: rotor-2dof", "k and c of both directions and across"), mass]
     bands = [proposal.band for proposal in peaks.values() if proposal.band is not None]
     if bands:
-        low, high = min(low for low, _ in bands), max(high for _, high in bands)
-        lines.append(remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peaks"))
+        lines.append(_band_line(min(bands)[0], max(high for _, high in bands), "around the highest peaks"))
     return lines
 
 
@@ -382,8 +385,7 @@ def _fit_lines(name: str, force: str, output: str, proposal: Proposal, estimator
     last = {"modal": [remark("    modal: {order: 6}", "few poles for one peak; higher for close modes")]}
     lines = [f"  {name}:", *by_model[proposal.model], f"    input: {force}", f"    output: {output}"]
     if proposal.band is not None:
-        low, high = proposal.band
-        lines.append(remark(f"    band: {low:.6g}-{high:.6g} Hz", "around the highest peak"))
+        lines.append(_band_line(*proposal.band, "around the highest peak"))
     # Between lines of noise a mode needs more orders to return.
     return lines + last.get(proposal.model if proposal.is_mode else "", [])
 
@@ -393,7 +395,7 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
     parts = (guard(guessed_frf, file) for file in files)
     sizes = [np.abs(part.values[:, 0]) for part in parts if part is not None]
     if any(size.shape != sizes[0].shape for size in sizes):
-        return ["  modes:", "    model: modal"]
+        return MODES
     moving = guessed.frequency > 0
     frequency = guessed.frequency[moving]
     mobility = np.sqrt(np.mean(np.square(sizes), axis=0))[moving] * frequency ** _order(guessed)
@@ -418,12 +420,12 @@ def _mode_lines(files: Sequence[Path], guessed: GuessedFrf) -> list[str]:
             first_guess.band_of(frequency[part], mobility[part], peak - begin, first_guess.MODAL_LINES)
             for peak in inside
         ]
-        lines += [f"  mode_{number}:", "    model: modal"]
-        band = f"    band: {bands[0][0]:.6g}-{bands[-1][1]:.6g} Hz"
-        lines.append(remark(band, "around a peak of all points"))
-    return lines or ["  modes:", "    model: modal"]
+        band = _band_line(bands[0][0], bands[-1][1], "around a peak of all points")
+        lines += [f"  mode_{number}:", "    model: modal", band]
+    return lines or MODES
 
 
+MODES = ["  modes:", "    model: modal"]
 HEAD_OF_FRFS = (
     "# What to do with the FRFs. Paths are relative to this file.",
     "title: Stiffness and damping from measured FRFs",
@@ -432,7 +434,7 @@ HEAD_OF_FRFS = (
 
 def _pipeline_of_responses(
     files: Sequence[Path], paths: Sequence[str], conditions: Mapping[str, Mapping[str, str]]
-) -> str:
+) -> list[str]:
     """Files that state their dofs: parts of one matrix where these fit together, else a test each."""
     response = load_response(files[0])
     if len(files) > 1:
@@ -441,28 +443,25 @@ def _pipeline_of_responses(
             whole = load_described(ReadyFrf(tuple(files), layout, dofs, dofs), layout, "", {})
             size = f"{len(whole.outputs)} responses by {len(whole.inputs)} forces, by the dofs in the files"
             lines = [remark("frfs:", f"one matrix of {size}"), f"  each: {quote(list(paths))}"]
-            return "\n".join([*HEAD_OF_FRFS, *lines, "identify:", "  modes:", "    model: modal"]) + "\n"
+            return [*HEAD_OF_FRFS, *lines, "identify:", *MODES]
     estimator = "ml" if response.covariance is not None else "ls"
     lines = [*HEAD_OF_FRFS, *Tests(files, paths, conditions).lines("frfs"), "identify:"]
     fits = {
         quote(port.label): (f"fit_{row + 1}", proposal_of(response, row, stated=True))
         for row, port in enumerate(response.outputs)
     }
-    lines.extend(_lines_of_all_fits(quote(response.inputs[0].label), fits, estimator))
-    return "\n".join(lines) + "\n"
+    return [*lines, *_lines_of_all_fits(quote(response.inputs[0].label), fits, estimator)]
 
 
-def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> str:
+def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Sequence[str]) -> list[str]:
     """A pipeline that begins with FRFs of another program: one file, or one for each point."""
     guessed = _with_falling_phase(guessed)
     lines = [*HEAD_OF_FRFS, *(f"# a guess, {guess}" for guess in guessed.guesses), "frfs:"]
     pattern = _pattern_of([Path(path).stem for path in paths])
     if len(paths) > 1:
-        lines.append(f"  each: {quote(list(paths))}")
+        guess = remark(f"  pattern: {quote(pattern)}", "a guess: the one part in which the names differ")
         where = "where the dofs stand in the files' names, for example 'H_{output}_{input}'"
-        why = "a guess: the one part in which the names differ"
-        guess = remark(f"  pattern: {quote(pattern)}", why)
-        lines.append(guess if pattern else f"  pattern: {DECIDE}    {MARK} {where}")
+        lines += [f"  each: {quote(list(paths))}", guess if pattern else f"  pattern: {OPEN} {where}"]
     else:
         lines.append(f"  file: {quote(paths[0])}")
     if guessed.word:
@@ -471,9 +470,11 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
         lines.append(remark("  conjugate: true", "the phase rises through the highest peak"))
     if any("coherence" in parts for parts in (guessed.columns, *guessed.elements.values())):
         lines.append(remark("  # averages: 16", "how many: with the coherence they give the noise"))
-    lines.append(remark("  # window: hann", "of the blocks; beside it, of random data:"))
-    lines.append(remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"))
-    lines += _unit_lines(guessed)
+    lines += [
+        remark("  # window: hann", "of the blocks; beside it, of random data:"),
+        remark("  # excitation: random", "with overlap: 50 %, for example: takes the leakage out"),
+        *_unit_lines(guessed),
+    ]
     outputs, force = ["y"], quote(guessed.reference) if guessed.reference else "f"
     if guessed.elements:
         outputs = list(guessed.elements) if guessed.reference else _labels(guessed.elements)
@@ -486,12 +487,12 @@ def _pipeline_of_tables(guessed: GuessedFrf, files: Sequence[Path], paths: Seque
         lines.append(remark(f"  input: {force}", "the dof of the force"))
     lines.append("identify:")
     if pattern:
-        return "\n".join([*lines, *_mode_lines(files, guessed)]) + "\n"
+        return [*lines, *_mode_lines(files, guessed)]
     if len(paths) > 1:
-        outputs = [f"{DECIDE}    {MARK} the dof of a response"]
-        force = f"{DECIDE}    {MARK} the dof of the force"
+        outputs = [f"{OPEN} the dof of a response"]
+        force = f"{OPEN} the dof of the force"
     fits = _fits_of(guessed, [*map(quote, outputs)] if guessed.reference else outputs)
-    return "\n".join([*lines, *_lines_of_all_fits(force, fits, "ls")]) + "\n"
+    return [*lines, *_lines_of_all_fits(force, fits, "ls")]
 
 
 def _fits_of(guessed: GuessedFrf, outputs: Sequence[str]) -> Fits:
@@ -545,11 +546,7 @@ def _pattern_of(names: Sequence[str]) -> str:
 
 def _order(guessed: GuessedFrf) -> int:
     """The power of frequency from FRFs to mobilities; without a form for accelerance, which most are."""
-    form = guessed.form
-    for name in MECHANICAL if guessed.unit and not form else ():
-        with suppress(UnitError):
-            unit_of(guessed.unit, FORMS[name])
-            form = name
+    form = guessed.form or form_of_unit(guessed.unit)
     return {"receptance": 1, "mobility": 0}.get(form, -1)
 
 
@@ -568,7 +565,7 @@ def _unit_lines(guessed: GuessedFrf) -> list[str]:
         return [*form, f"  unit: {DECIDE}    {mark}"]
     if guessed.form:
         return [remark(f"  form: {guessed.form}", "in SI units; for others add unit: g/N, for example")]
-    return [f"  unit: {DECIDE}    {MARK} the unit of the numbers, for example g/N, or m/(N.s^2)"]
+    return [f"  unit: {OPEN} the unit of the numbers, for example g/N, or m/(N.s^2)"]
 
 
 def _labels(elements: Mapping[str, object]) -> list[str]:

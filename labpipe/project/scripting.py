@@ -36,6 +36,7 @@ from labpipe.project.simulate import load_virtual_rig
 from labpipe.quantities import unit_of
 from labpipe.raw_files.table import TEXT_SUFFIXES, open_table
 from labpipe.raw_files.text_table import plain_suffix
+from labpipe.records.dataset import entries_of
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_fit
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
@@ -111,17 +112,15 @@ def to_frame(record: Fit | Identification | FrequencyResponse | Recording) -> pd
     raise ConfigError(f"a {type(record).__name__} has no table", hint=hint)
 
 
+COLUMNS = (
+    "fit", "test", "term", "model", "estimator", "low_hz", "high_hz", "parameter", "value", "unit",
+    "std_error", "ci_low", "ci_high", "significant", "derived", "warnings",
+)  # fmt: skip
+
+
 def _row(listed: ListedParameter) -> dict[str, Any]:
-    parameter = listed.parameter
-    low, high = parameter.ci95 or (None, None)
-    return {
-        **{name: getattr(listed, name) for name in ("fit", "test", "term", "model", "estimator")},
-        **{"low_hz": listed.band_hz[0], "high_hz": listed.band_hz[1]},
-        **{"parameter": parameter.name, "value": parameter.value, "unit": parameter.unit},
-        **{"std_error": parameter.std_error, "ci_low": low, "ci_high": high},
-        **{"significant": parameter.significant, "derived": parameter.derived},
-        "warnings": ", ".join(listed.warnings),
-    }
+    entries = {**entries_of(listed), "test": listed.test, "derived": listed.parameter.derived}
+    return {name: entries[name] for name in COLUMNS}
 
 
 def _response_frame(response: FrequencyResponse) -> pd.DataFrame:

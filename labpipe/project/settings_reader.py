@@ -8,6 +8,7 @@ import glob
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 
 from labpipe.artefacts.writing import is_remote, path_of
 from labpipe.errors import ConfigError, ConfigErrors
-from labpipe.project.marked_yaml import Marked
+from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of, takes_uncertainty
@@ -40,8 +41,13 @@ class Faults:
         """A fault of the entry *name* of a mapping that stands under *key*."""
         self.add(entries[name], join(key, name), message, hint)
 
-    def add_unit(self, node: Marked, key: str, error: UnitError) -> None:
-        self.add(node, key, error.what, error.hint)
+    @contextmanager
+    def of_unit(self, node: Marked, key: str) -> Iterator[None]:
+        """A UnitError of the block becomes a fault of the entry *key*."""
+        try:
+            yield
+        except UnitError as error:
+            self.add(node, key, error.what, error.hint)
 
     def add_of_field(self, error: ConfigError, node: Marked, key: str) -> None:
         """A fault of a mapping's settings, at the entry that the error names, else at the mapping."""
@@ -233,10 +239,21 @@ def _instance(
         return owner(**fields)
     except ConfigError as error:
         # A complaint that names what could not be read would be one of the same fault.
-        if any(name and re.search(rf"\b{name}\b", f"{error.field} {error.what}") for name in unread):
-            return None
-        faults.add_of_field(error, node, key)
+        if not any(name and re.search(rf"\b{name}\b", f"{error.field} {error.what}") for name in unread):
+            faults.add_of_field(error, node, key)
         return None
+
+
+def read_kind(tree: Marked, key: str, kinds: Registry, word: str, faults: Faults) -> Any:
+    """What the entry `kind` of a mapping names among *kinds*; None and a fault for none of them."""
+    entries, known = faults.mapping(tree, key), kinds.names()
+    if not (name := text_of(entries, "kind")):
+        faults.add(tree, join(key, "kind"), "is missing", f"known: {', '.join(known)}")
+    elif name in known:
+        return kinds.load(name)
+    else:
+        faults.add_at(entries, key, "kind", f"unknown {word} '{name}'", nearest(name, known))
+    return None
 
 
 def shorten_number(node: Marked, kind: str = "value") -> Marked:
@@ -257,12 +274,10 @@ def shorten_number(node: Marked, kind: str = "value") -> Marked:
 
 
 def _read_uncertain(node: Marked, setting: Setting, key: str, faults: Faults) -> str | None:
-    try:
+    with faults.of_unit(node, key):
         parse_uncertain(node.text, setting.unit)
-    except UnitError as error:
-        faults.add_unit(node, key, error)
-        return None
-    return node.text
+        return node.text
+    return None
 
 
 def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> Any:
@@ -271,7 +286,6 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
         faults.add(node, key, "is still to be decided", setting.help)
         return None
     if setting.section is not None:
-        assert setting.section is not None
         if setting.kind == "section":
             return read_settings(setting.section, node, key, faults)
         before = len(faults)
@@ -289,29 +303,24 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
             for number, entry in enumerate(node.content, 1)
         ]
         return None if len(faults) > before else tuple(listed)
-    try:
+    with faults.of_unit(node, key):
         value = read_value(node, setting)
-    except UnitError as error:
-        faults.add_unit(node, key, error)
-        return None
-    if setting.kind == "file" and not (faults.folder / value).is_file():
+        if setting.kind != "file" or (faults.folder / value).is_file():
+            return value
         faults.add_missing_file(node, key)
-        return None
-    return value
+    return None
 
 
 def _content(node: Marked, name: str | None, setting: Setting, key: str, faults: Faults) -> Any:
-    if name is None:
-        return None
     try:
-        return FILE_KINDS[setting.file_kind].load(faults.folder / name)
+        return None if name is None else FILE_KINDS[setting.file_kind].load(faults.folder / name)
     except ConfigError as error:
         # A fault without a place of its own is reported at the entry that names the file.
         if error.where or isinstance(error, ConfigErrors):
             faults.merge(error)
         else:
             faults.add(node, key, error.what, error.hint)
-        return None
+    return None
 
 
 def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:

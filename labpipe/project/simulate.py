@@ -14,27 +14,20 @@ import pyarrow.parquet as pq
 
 from labpipe.artefacts.parquet import arrow_array
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.project.marked_yaml import load_marked, text_of
+from labpipe.project.marked_yaml import load_marked
 from labpipe.project.measured import file_stems
-from labpipe.project.settings_reader import Faults, read_settings
+from labpipe.project.settings_reader import Faults, read_kind, read_settings
 from labpipe.raw_files.frf_csv import write_frf_csv
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.settings import FileKind
-from labpipe.registry import nearest
 from labpipe.simulate import virtual_rigs
 
 
 def load_virtual_rig(path: Path, overrides: Iterable[str] = ()) -> virtual_rigs.VirtualRig:
     """The settings of a virtual rig file. ConfigErrors with every fault at its place."""
     tree, faults = load_marked(path, overrides), Faults(path.parent)
-    entries = faults.mapping(tree, "")
-    kind, kinds = text_of(entries, "kind"), virtual_rigs.VIRTUAL_RIGS.names()
-    if not kind:
-        faults.add(tree, "kind", "is missing", f"known: {', '.join(kinds)}")
-    elif kind not in kinds:
-        faults.add_at(entries, "", "kind", f"unknown virtual rig '{kind}'", nearest(kind, kinds))
+    chosen = read_kind(tree, "", virtual_rigs.VIRTUAL_RIGS, "virtual rig", faults)
     faults.raise_any()
-    chosen: virtual_rigs.VirtualRigKind = virtual_rigs.VIRTUAL_RIGS.load(kind)
     rig: virtual_rigs.VirtualRig | None = read_settings(chosen.settings, tree, "", faults)
     faults.raise_any()
     assert rig is not None

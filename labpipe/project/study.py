@@ -13,7 +13,7 @@ from labpipe.errors import locate_errors
 from labpipe.project.judging import CompareNumber
 from labpipe.project.rules import Rule
 from labpipe.project.work import Work
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import parse_value
 from labpipe.records.comparison import Studies, Study, StudyCase
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Identification, ListedParameter, RuleOutcome
@@ -178,10 +178,8 @@ def study_outcome(rule: Rule, studies: Studies, compare_number: CompareNumber) -
     if match["item"] == "threshold":
         values = [t.noise for study in studies for t in study.thresholds if t.fit == match["fit"]]
     else:
-        try:
+        with rule.faults_of_units():
             noise = None if match["noise"] is None else parse_value(match["noise"], "1")
-        except UnitError as error:
-            raise rule.fault(error.what, error.hint) from None
         values = [
             _value(rule, case, match["item"])
             for study in studies

@@ -7,10 +7,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from labpipe.errors import ConfigError
-from labpipe.project import settings_reader
 from labpipe.project.ingest import SourceFile, is_recording
 from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.project.rig_file import load_rig, move, override_channels
+from labpipe.project.settings_reader import (
+    Faults,
+    conditions_in,
+    files_of,
+    join,
+    list_entries,
+    plain_stem,
+    read_settings,
+)
 from labpipe.records.frf_layout import FrfLayout
 from labpipe.records.rig import RecordedCondition, Rig, Span
 from labpipe.records.settings import settings_of
@@ -42,30 +50,28 @@ class ReadyFrf:
         return replace(self, paths=tuple(path.absolute() for path in self.paths))
 
 
-def read_ready_frfs(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
+def read_ready_frfs(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
     """The responses of the entry *key*: a file, a description, or a list; faults for unreadable ones."""
     frfs: list[ReadyFrf] = []
-    for entry in settings_reader.list_entries(node):
+    for entry in list_entries(node):
         if isinstance(entry.content, dict):
             frfs.extend(_describe(entry, key, faults))
         else:
-            frfs.extend(ReadyFrf((path,)) for path in settings_reader.files_of(entry, key, faults))
+            frfs.extend(ReadyFrf((path,)) for path in files_of(entry, key, faults))
     return frfs
 
 
-def _all_files(
-    node: Marked, key: str, faults: settings_reader.Faults, *, elsewhere: bool = False
-) -> list[Path]:
-    items = settings_reader.list_entries(node)
-    return [p for item in items for p in settings_reader.files_of(item, key, faults, elsewhere=elsewhere)]
+def _all_files(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
+    items = list_entries(node)
+    return [p for item in items for p in files_of(item, key, faults, elsewhere=elsewhere)]
 
 
-def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[ReadyFrf]:
-    layout = settings_reader.read_settings(FrfLayout, node, key, faults)
+def _describe(node: Marked, key: str, faults: Faults) -> list[ReadyFrf]:
+    layout = read_settings(FrfLayout, node, key, faults)
     if layout is None:
         return []
     word = "file" if layout.file else "each"
-    named = _all_files(node.content[word], settings_reader.join(key, word), faults)
+    named = _all_files(node.content[word], join(key, word), faults)
     frfs = []
     for paths in filter(None, [(path,) for path in named] if layout.file else [tuple(named)]):
         before = len(faults)
@@ -80,10 +86,10 @@ def _describe(node: Marked, key: str, faults: settings_reader.Faults) -> list[Re
 
 
 def _dofs(
-    path: Path, layout: FrfLayout, node: Marked, key: str, faults: settings_reader.Faults
+    path: Path, layout: FrfLayout, node: Marked, key: str, faults: Faults
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    stem = settings_reader.plain_stem(path)
-    named = settings_reader.conditions_in(stem, layout.pattern) if layout.pattern else {}
+    stem = plain_stem(path)
+    named = conditions_in(stem, layout.pattern) if layout.pattern else {}
     if named is None or not set(named) <= {"output", "input"}:
         what = f"does not match '{stem}'" if named is None else "holds more than {output} and {input}"
         hint = "for example 'H_{output}_{input}'; {} stands for any other part"
@@ -95,19 +101,14 @@ def _dofs(
 
 
 def _check_dofs(
-    word: str,
-    names: tuple[str, ...],
-    layout: FrfLayout,
-    node: Marked,
-    key: str,
-    faults: settings_reader.Faults,
+    word: str, names: tuple[str, ...], layout: FrfLayout, node: Marked, key: str, faults: Faults
 ) -> None:
     assert layout.table is not None
     # An element named o/i has both dofs, one named o has its input from the entry.
     has_all = bool(layout.elements) and (word == "output" or all("/" in name for name, _ in layout.elements))
     if not names and not has_all:
         hint = f"name the dof, or its place in the files' names by pattern: '{{{word}}}'"
-        faults.add(node, settings_reader.join(key, word), "is missing", hint)
+        faults.add(node, join(key, word), "is missing", hint)
     elif len(names) > 1 and not layout.table.matrix:
         hint = "several are the rows or columns of a matrix"
         faults.add_at(node.content, key, word, "one dof is needed", hint)
@@ -117,7 +118,7 @@ KEYS = ("file", "each", "join", "by", "pattern", "rig", "channels", *settings_of
 BY = ("time", "sample")
 
 
-def read_rig(node: Marked | None, faults: settings_reader.Faults, key: str) -> Rig | None:
+def read_rig(node: Marked | None, faults: Faults, key: str) -> Rig | None:
     """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
     if node is None:
         return None
@@ -137,12 +138,12 @@ class RecordingReader:
 
     rig: Rig | None
     rig_node: Marked | None
-    faults: settings_reader.Faults
+    faults: Faults
 
     def sources(self, node: Marked, key: str) -> list[SourceFile]:
         sources: list[SourceFile] = []
         seen: dict[tuple[Path, ...], SourceFile] = {}
-        for entry in settings_reader.list_entries(node):
+        for entry in list_entries(node):
             for source in self._of_entry(entry, node, key):
                 if seen.get(source.paths) == source:
                     what = f"'{source.path.name}' is named twice"
@@ -156,7 +157,7 @@ class RecordingReader:
             return self._describe(entry, key)
         if self.rig is None and self.rig_node is None:
             self.faults.add(node, key, "no rig file is named", "add rig: FILE")
-        paths = settings_reader.files_of(entry, key, self.faults, elsewhere=True)
+        paths = files_of(entry, key, self.faults, elsewhere=True)
         return [SourceFile(path, self.rig) for path in paths if self.rig is not None]
 
     def _describe(self, entry: Marked, key: str) -> list[SourceFile]:
@@ -192,7 +193,7 @@ class RecordingReader:
 
     def _span(self, entry: Marked, key: str) -> Span | None:
         stated = {word: node for word, node in entry.content.items() if word in settings_of(Span)}
-        return settings_reader.read_settings(Span, replace(entry, content=stated), key, self.faults)
+        return read_settings(Span, replace(entry, content=stated), key, self.faults)
 
     def _by(self, entry: Marked, key: str) -> str:
         by = text_of(entry.content, "by")
@@ -204,8 +205,8 @@ class RecordingReader:
         node = entry.content.get("pattern")
         if node is None:
             return rig
-        stem = settings_reader.plain_stem(path)
-        dofs = settings_reader.conditions_in(stem, node.text)
+        stem = plain_stem(path)
+        dofs = conditions_in(stem, node.text)
         try:
             if dofs is None:
                 raise ConfigError(f"does not match '{stem}'", hint="for example '{}_{output}_{input}'")
@@ -222,10 +223,10 @@ class RecordingReader:
         if "channels" not in entry.content:
             if "rig" not in entry.content:
                 return self.rig
-            return read_rig(rig_node, self.faults, settings_reader.join(key, "rig"))
+            return read_rig(rig_node, self.faults, join(key, "rig"))
         try:
             path, channels = self.faults.folder / rig_node.text, entry.content["channels"]
-            return override_channels(path, channels, self.faults, settings_reader.join(key, "channels"))
+            return override_channels(path, channels, self.faults, join(key, "channels"))
         except ConfigError as error:
             self.faults.merge(error)
             return None
@@ -255,26 +256,23 @@ class Test:
 
 @dataclass(frozen=True)
 class EachFile:
-    """What a file becomes that is a test: common conditions, and those in its name by the *pattern*."""
+    """What a file becomes that is a test: what is *common* to all, and its name by the *pattern*."""
 
-    conditions: dict[str, str] = field(default_factory=dict)
-    recorded: dict[str, RecordedCondition] = field(default_factory=dict)
-    frf: FrfSettings | None = None
+    common: Test = Test("")
     pattern: str = ""
-    repeats: str = ""
 
     def conditions_in_name(self, path: Path) -> dict[str, str]:
         """The conditions that a file's name says; none where it does not match the pattern."""
-        return settings_reader.conditions_in(settings_reader.plain_stem(path), self.pattern) or {}
+        return conditions_in(plain_stem(path), self.pattern) or {}
 
     def test(self, source: SourceFile, name: str = "") -> Test:
         """The test of a recording, named after its file. ConfigError where the pattern does not match."""
-        stem = settings_reader.plain_stem(source.path)
-        if self.pattern and settings_reader.conditions_in(stem, self.pattern) is None:
+        stem = plain_stem(source.path)
+        if self.pattern and conditions_in(stem, self.pattern) is None:
             where, hint = f"pattern '{self.pattern}'", "for example '{preload}-{direction}'"
             raise ConfigError(f"does not match '{stem}'", where, hint)
-        conditions = {**self.conditions, **self.conditions_in_name(source.path)}
-        return Test(name or stem, (source,), (), conditions, self.recorded, self.frf, self.repeats)
+        conditions = {**self.common.conditions, **self.conditions_in_name(source.path)}
+        return replace(self.common, name=name or stem, recordings=(source,), conditions=conditions)
 
 
 @dataclass(frozen=True)
@@ -283,7 +281,7 @@ class TestReader:
 
     top: dict[str, Marked]
     rig: Rig | None
-    faults: settings_reader.Faults
+    faults: Faults
 
     def tests(self) -> tuple[Test, ...]:
         """All tests in their order; the recordings of a file without `tests:` are one test without a name."""
@@ -318,7 +316,7 @@ class TestReader:
         together = self._joined_parts(entries, key)
         tests: dict[tuple[tuple[str, str], ...], Test] = {}
         unmatched: list[ConfigError] = []
-        for source in self._recordings(entries["each"], settings_reader.join(key, "each")):
+        for source in self._recordings(entries["each"], join(key, "each")):
             try:
                 test = per_file.test(source)
             except ConfigError as error:
@@ -343,7 +341,8 @@ class TestReader:
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"
                 self.faults.add_at(entries["conditions"].content, "conditions", name, what, "leave one out")
-        return EachFile(common, recorded, self._frf(entries, key), pattern, self._repeats(entries, key))
+        frf, repeats = self._frf(entries, key), self._repeats(entries, key)
+        return EachFile(Test("", (), (), common, recorded, frf, repeats), pattern)
 
     def each_file(self) -> EachFile:
         """What every file to come will be, by the only entry of `tests:`, which has `each:`."""
@@ -364,7 +363,7 @@ class TestReader:
         if "together" not in entries:
             return []
         pattern = text_of(entries, "pattern")
-        parts = [node.text for node in settings_reader.list_entries(entries["together"])]
+        parts = [node.text for node in list_entries(entries["together"])]
         for part in parts:
             if f"{{{part}}}" not in pattern:
                 what = f"the pattern has no part '{{{part}}}'"
@@ -375,10 +374,10 @@ class TestReader:
         entries = node.content if isinstance(node.content, dict) else {}
         recordings: list[SourceFile] = []
         if "recordings" in entries:
-            recordings = self._recordings(entries["recordings"], settings_reader.join(key, "recordings"))
+            recordings = self._recordings(entries["recordings"], join(key, "recordings"))
         frfs: list[ReadyFrf] = []
         if "frfs" in entries:
-            frfs = read_ready_frfs(entries["frfs"], settings_reader.join(key, "frfs"), self.faults)
+            frfs = read_ready_frfs(entries["frfs"], join(key, "frfs"), self.faults)
         if not recordings and not frfs and not len(self.faults):
             place = node if node.place else next(iter(self.top.values()))
             self.faults.add(place, key, "neither recordings nor frfs")
@@ -402,13 +401,13 @@ class TestReader:
         if "frf" not in entries or key == "":
             return None
         common = self.top["frf"].content if "frf" in self.top else {}
-        frf_of_test = self.faults.mapping(entries["frf"], settings_reader.join(key, "frf"))
+        frf_of_test = self.faults.mapping(entries["frf"], join(key, "frf"))
         others = KEYS_OF_EXCITATION.get(text_of(frf_of_test, "excitation"), common)
         inherited = common.items() if isinstance(common, dict) else ()
         both = {**{name: node for name, node in inherited if name in others}, **frf_of_test}
         whole = {name: node for name, node in both.items() if node.content is not None}
         node = replace(entries["frf"], content=whole)
-        return settings_reader.read_settings(FrfSettings, node, settings_reader.join(key, "frf"), self.faults)
+        return read_settings(FrfSettings, node, join(key, "frf"), self.faults)
 
     def _recordings(self, node: Marked, key: str) -> list[SourceFile]:
         return RecordingReader(self.rig, self.top.get("rig"), self.faults).sources(node, key)
@@ -425,10 +424,10 @@ class TestReader:
                 written[name] = node.text
                 if node.content is None or not node.text:
                     what, hint = "an amount or a word is needed", "for example speed: 3000 rpm"
-                    self.faults.add(node, settings_reader.join(key, "conditions", name), what, hint)
+                    self.faults.add(node, join(key, "conditions", name), what, hint)
                 continue
-            at = settings_reader.join(key, "conditions", name)
-            source = settings_reader.read_settings(RecordedCondition, node, at, self.faults)
+            at = join(key, "conditions", name)
+            source = read_settings(RecordedCondition, node, at, self.faults)
             if source is not None:
                 recorded[name] = source
         return written, recorded

@@ -14,7 +14,7 @@ from labpipe.artefacts.dataset_file import SUFFIX as RESULTS_SUFFIX, DatasetPart
 from labpipe.artefacts.header import source_ref
 from labpipe.artefacts.identification_file import FOLDER, NAME, read_fits, read_identification
 from labpipe.artefacts.json_file import DIGEST, read_digested
-from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.places import fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING_SUFFIX, open_recording
 from labpipe.artefacts.writing import is_remote, without_staging
@@ -52,11 +52,11 @@ def _nothing(_: Path) -> Sequence[Reference]:
 
 
 def _header_inputs(path: Path) -> Sequence[Reference]:
-    return [(reference.path, reference.sha256) for reference in header_of(path).inputs]
+    return [(reference.path, reference.sha256) for reference in read_header(path).inputs]
 
 
 def _from(raw: bool, path: Path) -> Sequence[Reference]:
-    return _header_inputs(path) if (RIGS in header_of(path).parameters) == raw else ()
+    return _header_inputs(path) if (RIGS in read_header(path).parameters) == raw else ()
 
 
 def _json_digest(path: Path) -> str:
@@ -73,7 +73,7 @@ def _measure(read: Callable[[Path], Any]) -> _ArtefactKind:
 
 
 def _digest_of(path: Path) -> str:
-    return header_of(path).digest
+    return read_header(path).digest
 
 
 KINDS: Mapping[str, _ArtefactKind] = {

@@ -13,7 +13,7 @@ import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import DataError
-from labpipe.quantities import NONE, UnitError, may_agree, parse_unit, parse_value, unit_of
+from labpipe.quantities import NONE, UnitError, locate_units, may_agree, parse_unit, parse_value, unit_of
 from labpipe.raw_files.arrays_table import load_arrays
 from labpipe.raw_files.frf_csv import checked_coherence, cube, port_of
 from labpipe.raw_files.mat import hdf5_names, is_hdf5, load_fields, load_hdf5_variables
@@ -388,10 +388,8 @@ def _frequency(source: DescribedColumns, table: FrfColumns, n_line: int | None) 
 
 def _scalar(source: DescribedColumns, text: str) -> float:
     if text[0].isdigit() or text[0] in ".+-":
-        try:
+        with locate_units(source.path, DataError):
             return parse_value(text, "Hz")
-        except UnitError as error:
-            raise DataError(error.what, source.path, error.hint) from None
     values = source.real(text)
     if values.size != 1:
         raise DataError(f"{source.word} '{text}' holds {values.size} numbers, one is needed", source.path)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import DataError, locate_errors
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import locate_units, parse_value
 from labpipe.raw_files.uff import UFF_SUFFIXES, real
 from labpipe.records.rig import AXES, Geometry
 from labpipe.records.settings import FileKind
@@ -173,10 +173,8 @@ def _coordinate(text: str, unit: str, where: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise DataError(f"the coordinate '{text.strip()}' is not a number", where)
-    try:
+    with locate_units(where, DataError):
         return parse_value(f"{value!r} {unit or 'm'}", "m")
-    except UnitError as error:
-        raise DataError(error.what, where, error.hint) from None
 
 
 GEOMETRY_FILE = FileKind(read_geometry)

@@ -201,12 +201,9 @@ class UffTable:
         _check_alike(records, path)
         self.columns = unique([channel_name(record) for record in records])
         self._records = dict(zip(self.columns, records, strict=True))
-        try:
+        with locate_errors(path):
             units = ((name, time_unit(record)[0]) for name, record in self._records.items())
             self.units = {name: unit for name, unit in units if unit}
-        except DataError as error:
-            error.where = str(path)
-            raise
         rate = 1 / records[0].step
         is_whole = abs(round(rate) / rate - 1) < _STEP_DIGITS
         self.sample_rate: float | None = float(round(rate)) if is_whole else rate

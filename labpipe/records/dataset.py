@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
 from labpipe.arrays import FloatArray
+from labpipe.quantities import UnitError, si_amount
 from labpipe.records import identification
 from labpipe.records.finding import Finding
+
+
+def amount_of(condition: object) -> tuple[float, str] | None:
+    """A condition in SI with its unit; None for words such as "up"."""
+    try:
+        return si_amount(str(condition))
+    except UnitError:
+        return None
+
+
+def day_of(condition: object) -> datetime.date | None:
+    """The day of an ISO date such as 2026-03-02 or 2026-03-02T14:10; None for another text."""
+    try:
+        return datetime.date.fromisoformat(str(condition)[:10])
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,20 +116,26 @@ def rows_of_fit(fit: identification.Fit, common: Mapping[str, object]) -> Iterat
     """The rows of one fit; *common*: what all rows of its test share."""
     covariance = noise_covariance(fit)
     for listed in identification.of_fit(fit):
-        row = {**_entries(fit, listed), "covariance": covariance.get(listed.parameter.name), **common}
+        row = {**entries_of(listed), "covariance": covariance.get(listed.parameter.name), **common}
+        row |= {"gof": fit.gof.r2_adjusted, "chi2_reduced": fit.gof.chi2_reduced}
         yield DatasetRow(**row)  # type: ignore[arg-type]
 
 
-def _entries(fit: identification.Fit, listed: identification.ListedParameter) -> dict[str, object]:
-    parameter, (from_hz, to_hz) = listed.parameter, fit.band_hz
-    of_fit = {name: getattr(fit, name) for name in ("term", "model", "estimator")}
+def entries_of(listed: identification.ListedParameter) -> dict[str, object]:
+    """What the row of a parameter says of it and its fit."""
+    parameter, (low, high) = listed.parameter, listed.band_hz
+    same = ("fit", "term", "model", "estimator", "random_error", "changes", "dofs")
+    row = {name: getattr(listed, name) for name in same}
     same = ("value", "unit", "std_error", "full_error", "combined", "expanded", "significant")
-    of_parameter = {name: getattr(parameter, name) for name in same}
-    of_gof = {"gof": fit.gof.r2_adjusted, "chi2_reduced": fit.gof.chi2_reduced}
-    ends = dict(zip(("ci_low", "ci_high"), parameter.ci95 or (None, None), strict=True))
-    others = {"fit": fit.name, "parameter": parameter.name, "low_hz": from_hz, "high_hz": to_hz}
-    others |= {"random_error": listed.random_error, "changes": listed.changes, "dofs": listed.dofs}
-    return {**of_fit, **of_parameter, **of_gof, **ends, **others, "warnings": ", ".join(listed.warnings)}
+    row |= {name: getattr(parameter, name) for name in same}
+    row |= zip(("ci_low", "ci_high"), parameter.ci95 or (None, None), strict=True)
+    return {
+        **row,
+        "parameter": parameter.name,
+        "low_hz": low,
+        "high_hz": high,
+        "warnings": ", ".join(listed.warnings),
+    }
 
 
 def noise_covariance(fit: identification.Fit) -> dict[str, FloatArray]:

@@ -15,7 +15,7 @@ from labpipe.errors import DataError
 from labpipe.quantities import QUANTITIES
 from labpipe.records.finding import Finding
 from labpipe.records.text import VIEWS, recording_line
-from labpipe.records.uncertain import ChannelUncertainty, as_uncertainties
+from labpipe.records.uncertain import ChannelUncertainty
 from labpipe.registry import nearest
 
 
@@ -45,11 +45,6 @@ class SumTerm:
     numbers: tuple[Number, ...] = ()
     derivatives: tuple[float, ...] = ()
 
-    def __post_init__(self) -> None:
-        # A file gives lists of mappings.
-        object.__setattr__(self, "numbers", tuple(_number(entry) for entry in self.numbers))
-        object.__setattr__(self, "derivatives", tuple(self.derivatives))
-
     def times(self, factor: float) -> SumTerm:
         """The term times a number without uncertainty."""
         return SumTerm(
@@ -58,15 +53,6 @@ class SumTerm:
             self.numbers,
             tuple(factor * derivative for derivative in self.derivatives),
         )
-
-
-def _number(entry: Any) -> Number:
-    return entry if isinstance(entry, Number) else Number(**entry)
-
-
-def as_terms(entries: Any) -> tuple[SumTerm, ...]:
-    """The terms of a channel, as they are or from the mappings of a file."""
-    return tuple(entry if isinstance(entry, SumTerm) else SumTerm(**entry) for entry in entries)
 
 
 ROLES = ("input", "output", "reference")
@@ -102,10 +88,7 @@ class Channel:
         if self.role not in ROLES:
             what = f"channel '{self.name}' has the unknown role '{self.role}'"
             raise DataError(what, hint=nearest(self.role, ROLES))
-        # A file gives lists.
-        object.__setattr__(self, "response", tuple(tuple(row) for row in self.response))
-        object.__setattr__(self, "terms", as_terms(self.terms))
-        object.__setattr__(self, "uncertainties", as_uncertainties(self.uncertainties))
+        object.__setattr__(self, "response", tuple(map(tuple, self.response)))
 
     @property
     def unit(self) -> str:

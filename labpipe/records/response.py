@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, freeze
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.text import VIEWS, response_line
-from labpipe.records.uncertain import ChannelUncertainty, MatrixError, as_uncertainties
+from labpipe.records.uncertain import ChannelUncertainty, MatrixError
 
 
 @dataclass(frozen=True)
@@ -209,10 +210,6 @@ class Port:
     angle: float | None = None
     uncertainties: tuple[ChannelUncertainty, ...] = ()
 
-    def __post_init__(self) -> None:
-        # A file gives mappings.
-        object.__setattr__(self, "uncertainties", as_uncertainties(self.uncertainties))
-
     @property
     def place(self) -> str:
         """The point that a dof such as 3.x names before the direction; empty where it is that alone."""
@@ -243,9 +240,6 @@ class Blocks:
     derivatives: int = 0
     by_force: tuple[int, ...] = ()
     apart: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "by_force", tuple(self.by_force))
 
     def of_forces(self, columns: Sequence[int]) -> Blocks:
         """Those of the forces *columns*."""
@@ -308,7 +302,7 @@ class FrequencyResponse:
     snr: FloatArray | None = None
     snr_channels: tuple[str, ...] = ()
     averages: float = 1.0
-    covariance_dof: float = float("inf")
+    covariance_dof: float = field(default=math.inf, metadata={"null": math.inf})
     line_correlation: tuple[complex, ...] = ()
     line_gains: ComplexArray | None = None
     blocks: Blocks | None = None

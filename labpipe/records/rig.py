@@ -76,6 +76,11 @@ class Rig:
     resample: float | None = None
 
     @property
+    def columns(self) -> list[str]:
+        """What a file must hold: the time column, if there is one, then the columns of the channels."""
+        return [*filter(None, [self.time]), *(channel.column for channel in self.channels)]
+
+    @property
     def time_scale(self) -> float:
         """Seconds per unit of the time column by its name alone."""
         return time_scale(self.time, {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -69,7 +70,7 @@ class ChannelSpectra:
     channels: tuple[Channel, ...]
     runs: tuple[str, ...]
     _: KW_ONLY
-    covariance_dof: float = float("inf")
+    covariance_dof: float = field(default=math.inf, metadata={"null": math.inf})
     line_correlation: tuple[complex, ...] = ()
     factors: tuple[UncertainFactor, ...] = ()
     blocks: Blocks | None = None

@@ -37,7 +37,9 @@ def fit_line(fit: Fit) -> str:
         if part
     )
     band = f"{fit.band_hz[0]:g}-{fit.band_hz[1]:g} Hz"
-    named = [f"{p.name} = {_with_error(p)}" for p in fit.parameters[:MOST_NAMED]]
+    named = [
+        f"{p.name} = {amount_text(p.value, p.full_error, p.unit, '+-')}" for p in fit.parameters[:MOST_NAMED]
+    ]
     more = [f"{len(fit.parameters) - MOST_NAMED} more"] if len(fit.parameters) > MOST_NAMED else []
     codes = list(dict.fromkeys(finding.code for finding in of_level(WARNING, fit.findings)))
     warnings = f"; warnings: {', '.join(codes)}" if codes else ""
@@ -99,10 +101,6 @@ def parameter_cells(parameter: Parameter, unit: str = "") -> tuple[str, ...]:
     ends = () if parameter.ci95 is None else tuple(to_display(end, unit) for end in parameter.ci95)
     value, uncertainty, *interval = write_values(to_display(parameter.value, unit), error, *ends)
     return (parameter.name, value, uncertainty, " to ".join(interval), unit_label(unit), limits)
-
-
-def _with_error(parameter: Parameter) -> str:
-    return amount_text(parameter.value, parameter.full_error, parameter.unit, "+-")
 
 
 def response_line(response: FrequencyResponse) -> str:

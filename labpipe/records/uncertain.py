@@ -194,16 +194,6 @@ class MatrixError:
         return np.sum([part * ratio**power for power, part in enumerate(self.parts)], axis=0)
 
 
-def as_uncertainties(entries: Any) -> tuple[ChannelUncertainty, ...]:
-    """The uncertainties of a channel, as they are or from the mappings of a file."""
-    return tuple(
-        entry
-        if isinstance(entry, ChannelUncertainty)
-        else ChannelUncertainty(**{**entry, "uncertainty": Uncertainty(**entry["uncertainty"])})
-        for entry in entries
-    )
-
-
 # The uncertainty budget of a fit: what noise and every systematic source leave of its parameters.
 
 

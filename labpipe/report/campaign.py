@@ -6,9 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import date
-from itertools import compress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,11 +14,11 @@ from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, unit_label, write_values
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import display_unit, to_display
-from labpipe.records.finding import Parameter
+from labpipe.records.dataset import amount_of, day_of
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
 from labpipe.registry import few
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
-from labpipe.report.cover import DATES, amount_of, cover_facts
+from labpipe.report.cover import DATES, cover_facts
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
@@ -29,24 +27,16 @@ from labpipe.uncertainty.amounts import count_once, sources_in_common
 from labpipe.uncertainty.bandwise import holm
 
 
-@dataclass(frozen=True)
-class Value:
-    """A parameter of a fit in one result; *label*: distinct label of the test; *when*: the date that its
-    conditions give, maybe with an hour, '' where they give none.
-
-    random_error: standard error of this test alone; changes: by sources that tests may have in common;
-    digests: of the files behind the result.
+@dataclass(frozen=True, kw_only=True)
+class Value(ListedParameter):
+    """A parameter in one result; *label*: distinct label of the test; *when*: the date that its conditions
+    give, maybe with an hour, '' where they give none; digests: of the files behind the result.
     """
 
     label: str
-    parameter: Parameter
-    conditions: dict[str, tuple[float, str]]
+    conditions: Mapping[str, tuple[float, str]]
     when: str
-    random_error: float | None = None
-    changes: Mapping[str, float] = field(default_factory=dict)
-    dofs: Mapping[str, float] = field(default_factory=dict)
-    band_hz: tuple[float, float] = (0.0, 0.0)
-    digests: frozenset[str] = frozenset()
+    digests: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -99,6 +89,13 @@ class CoefficientSeries:
         changes, dofs = sources_in_common([(value.changes, value.dofs) for value in self.values])
         return alone, difference_in(1.0, self.unit) * changes, dofs
 
+    def line_over(self, x: FloatArray) -> weighted.WeightedFit | None:
+        """The straight trend over *x* (n,) [any unit]; None where there is none."""
+        try:
+            return weighted.straight_trend(x, self.show(), *self.parted_errors())
+        except FitError:
+            return None
+
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
         ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
@@ -114,7 +111,7 @@ class CoefficientSeries:
             if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
                 shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
                 conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
-        days = [day for value in self.values if (day := _day(value.when)) is not None]
+        days = [day for value in self.values if (day := day_of(value.when))]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
             conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
@@ -140,15 +137,11 @@ def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[Co
 
 
 def _series(fit: str, name: str, values: Sequence[Value]) -> CoefficientSeries:
-    pairs = [(value.parameter.value, value.parameter.full_error) for value in values]
-    amounts, errors = np.array(pairs, np.float64).T
-    counted = count_once(amounts, errors, [value.digests for value in values])
-    copies = tuple(value for value, counts in zip(values, counted, strict=True) if not counts)
-    return CoefficientSeries(fit, name, tuple(_order(list(compress(values, counted)))), copies)
-
-
-def _order(values: Sequence[Value]) -> Sequence[Value]:
-    return sorted(values, key=lambda value: value.when) if all(value.when for value in values) else values
+    amounts = [(of.parameter.value, of.parameter.full_error, of.digests) for of in values]
+    once, copies = count_once(values, amounts)
+    if all(value.when for value in once):
+        once.sort(key=lambda value: value.when)
+    return CoefficientSeries(fit, name, tuple(once), tuple(copies))
 
 
 def _label(result: str, test: str) -> str:
@@ -157,20 +150,11 @@ def _label(result: str, test: str) -> str:
 
 def _value(result: str, identification: Identification, listed: ListedParameter) -> Value:
     conditions = identification.test_conditions.get(listed.test, {})
-    amounts = {name: amount for name, text in conditions.items() if (amount := amount_of(text)) is not None}
+    amounts = {name: amount for name, text in conditions.items() if (amount := amount_of(text))}
     dates = (str(text) for name, text in conditions.items() if name.lower() in DATES)
-    when = next((text for text in dates if _day(text)), "")
-    label = _label(result, listed.test)
-    errors = listed.random_error, listed.changes, listed.dofs
-    return Value(label, listed.parameter, amounts, when, *errors, listed.band_hz, identification.digests)
-
-
-def _day(text: str) -> date | None:
-    """The day of an ISO date such as 2026-03-02 or 2026-03-02T14:10."""
-    try:
-        return date.fromisoformat(text[:10])
-    except ValueError:
-        return None
+    when = next(filter(day_of, dates), "")
+    label, digests = _label(result, listed.test), identification.digests
+    return Value(**vars(listed), label=label, conditions=amounts, when=when, digests=digests)
 
 
 MOST_TOGETHER = 12
@@ -197,14 +181,12 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 def _line(series: CoefficientSeries, x: FloatArray) -> tuple[tuple[Series, ...], str]:
     """The line and what it is in words."""
-    values, law = (series.show(), *series.parted_errors()), "straight trend"
-    try:
-        line = weighted.straight_trend(x, *values)
-    except FitError:
+    line, powers, law = series.line_over(x), np.arange(2), "straight trend"
+    if line is None:
         return (), law
-    powers = np.arange(2)
     if line.curved:
         powers, law = np.arange(3), "parabola, since the tests are curved"
+        values = series.show(), *series.parted_errors()
         line = weighted.weighted_fit((x - np.mean(x))[:, None] ** powers, *values)
     drawn = np.linspace(x.min(), x.max(), N_TREND)
     columns = (drawn - np.mean(x))[:, None] ** powers
@@ -276,17 +258,11 @@ EXPLAINED = (
 
 @dataclass(frozen=True)
 class Trend:
-    """The slope of a series over a condition [display unit per unit of the condition], the chance of one as
-    steep without any, and what a straight line does not hold, as of `curvature_text`.
-    """
+    """The straight *line* of a series over a condition [display unit, and that of the condition]."""
 
     series: CoefficientSeries
     condition: str
-    slope: float
-    error: float
-    interval: tuple[float, float]
-    p_value: float
-    curved: str
+    line: weighted.WeightedFit
 
     @property
     def name(self) -> str:
@@ -305,9 +281,14 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
         raise DataError(
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
-    trends = [trend for coefficient in series for trend in _trends(coefficient)]
+    trends = [
+        Trend(coefficient, name, line)
+        for coefficient in series
+        for name, (_, x) in coefficient.over().items()
+        if (line := coefficient.line_over(x)) is not None
+    ]
     differences = _find_apart(series)
-    corrected = holm(np.array([trend.p_value for trend in trends]))
+    corrected = holm(np.array([trend.line.p_of(1) for trend in trends]))
     sections = (
         Section("Verdict", (*_verdict(series, trends, corrected, differences), *_left_out(copies))),
         Section("Results", (_results(results),)),
@@ -352,20 +333,6 @@ def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
         return unknown, unknown
 
 
-def _trends(coefficient: CoefficientSeries) -> list[Trend]:
-    trends = []
-    for name, (_, condition) in coefficient.over().items():
-        try:
-            line = weighted.straight_trend(condition, coefficient.show(), *coefficient.parted_errors())
-        except FitError:
-            continue
-        slope, error = float(line.values[1]), line.std_error(1)
-        reach = line.quantile(1) * error
-        ends = slope - reach, slope + reach
-        trends.append(Trend(coefficient, name, slope, error, ends, line.p_of(1), line.curved))
-    return trends
-
-
 def _verdict(
     series: Sequence[CoefficientSeries],
     trends: Sequence[Trend],
@@ -390,7 +357,7 @@ def _verdict(
     if trends:
         sentence = f"Trends beyond chance, of {len(trends)} looked at: {'; '.join(steep) or 'none'}."
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
-        blocks += [Paragraph(f"{of.name}: {of.curved}.", "warning") for of in trends if of.curved]
+        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in trends if of.line.curved]
     if series:
         values = sum(len(coefficient.values) for coefficient in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
@@ -421,21 +388,23 @@ def _results(results: Sequence[tuple[str, Identification]]) -> Table:
 
 
 def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
-    rows = tuple(
-        (
-            trend.series.title,
-            trend.condition,
-            round_to_error(trend.slope, trend.error),
-            _slope_unit(trend),
-            " to ".join(write_values(trend.slope, trend.error, *trend.interval)[2:]),
-            f"{trend.p_value:.2g}",
-            f"{p:.2g}",
-            "yes" if p < LEVEL else "no",
-            weighted.trend_verdict(trend.slope, trend.curved, sure=p < LEVEL),
+    rows = []
+    for trend, p in zip(trends, corrected, strict=True):
+        line, (slope, error, quantile) = trend.line, trend.line.state(1)
+        ends = slope - quantile * error, slope + quantile * error
+        chances = f"{line.p_of(1):.2g}", f"{p:.2g}", "yes" if p < LEVEL else "no"
+        rows.append(
+            (
+                trend.series.title,
+                trend.condition,
+                round_to_error(slope, error),
+                _slope_unit(trend),
+                " to ".join(write_values(slope, error, *ends)[2:]),
+                *chances,
+                weighted.trend_verdict(slope, line.curved, sure=p < LEVEL),
+            )
         )
-        for trend, p in zip(trends, corrected, strict=True)
-    )
-    return Table(TREND_HEADER, rows, "Straight trends over the conditions", (2, 4, 5, 6))
+    return Table(TREND_HEADER, tuple(rows), "Straight trends over the conditions", (2, 4, 5, 6))
 
 
 def _slope_unit(trend: Trend) -> str:

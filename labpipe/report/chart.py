@@ -17,7 +17,7 @@ from labpipe.arrays import FloatArray
 Ends = tuple[ArrayLike, ArrayLike]
 Ticks = tuple[tuple[float, str], ...]
 
-KINDS = ("line", "area", "hline", "vline", "hspan", "vspan", "cells", "arrow", "text")
+KINDS = ("line", "area", "hline", "vline", "hspan", "cells", "arrow", "text")
 # Numbers of the palette for series; INK is that of the text, GREY that of reference values.
 PALETTE_SIZE, INK, GREY = 7, 6, -1
 LINES = ("-", "--", ":")
@@ -30,7 +30,7 @@ MARGIN = 0.05
 @dataclass(frozen=True, eq=False)
 class Series:
     """One entry of a panel. *kind*: 'line' (points, joined or not), 'area' (a closed outline), 'hline',
-    'vline', 'hspan', 'vspan', 'cells' (a matrix of values between -1 and 1 with a text in each), 'arrow'
+    'vline', 'hspan', 'cells' (a matrix of values between -1 and 1 with a text in each), 'arrow'
     (from the first point to the second) or 'text' (words at points).
 
     x, y: (n,) [units of the axes], NaN where nothing is shown; of a line or span across the panel one of them

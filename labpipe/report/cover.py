@@ -17,7 +17,8 @@ from labpipe.display import (
     with_error,
     write_values,
 )
-from labpipe.quantities import UnitError, si_amount, to_display
+from labpipe.quantities import to_display
+from labpipe.records.dataset import amount_of
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import (
     Fit,
@@ -144,14 +145,6 @@ def cover_facts(identifications: Sequence[Identification]) -> tuple[tuple[str, s
         "computed by": _each_once(f"labpipe {result.version}" for result in identifications),
     }
     return tuple((what, which) for what, which in facts.items() if which)
-
-
-def amount_of(text: object) -> tuple[float, str] | None:
-    """A condition in SI with its unit; None where it is no amount."""
-    try:
-        return si_amount(str(text))
-    except UnitError:
-        return None
 
 
 def _each_condition(conditions: Iterable[str]) -> str:

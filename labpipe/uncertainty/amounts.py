@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -155,17 +156,24 @@ def sources_in_common(
 ALIKE = 1e-6
 
 
-def count_once(values: FloatArray, errors: FloatArray, digests: Sequence[frozenset[str]]) -> list[bool]:
-    """Whether each of the values (n,), with its standard error (n,) [unit of the value], counts beside the
-    others: of those of one recording the first does. These agree within ALIKE standard errors, as do their
-    errors, and share one of the *digests* of the files behind them.
+Row = TypeVar("Row")
+
+
+def count_once(
+    rows: Sequence[Row], amounts: Sequence[tuple[float, float | None, frozenset[str]]]
+) -> tuple[list[Row], list[Row]]:
+    """The rows that count beside the others, and copies of these, by *amounts*: value, standard error and
+    digests of the files behind each. Of those of one recording the first counts: they agree within ALIKE
+    standard errors, as do their errors, and share a digest.
     """
-    counted = [True] * values.size
+    values, errors = np.array([amount[:2] for amount in amounts], np.float64).T
+    digests, counted = [amount[2] for amount in amounts], [True] * len(rows)
     for first, other in itertools.pairwise(np.argsort(values, kind="stable").tolist()):
         apart = max(abs(values[other] - values[first]), abs(errors[other] - errors[first]))
         if apart <= ALIKE * errors[first] > 0 and digests[first] & digests[other]:
             counted[other] = False
-    return counted
+    once = list(itertools.compress(rows, counted))
+    return once, [row for row, counts in zip(rows, counted, strict=True) if not counts]
 
 
 def joint_errors(errors: FloatArray, changes: FloatArray) -> FloatArray:

@@ -25,7 +25,8 @@ from labpipe.cli.main import run_command
 from labpipe.methods.calibration.section import CalibrationSettings, calibrate
 from labpipe.methods.planning.plan_file import read_plan
 from labpipe.methods.run_ups.run_up_csv import read_run_up_csv
-from labpipe.project.catalogue import INDEX, Filter, open_index, values
+from labpipe.project.catalogue import INDEX, Filter, open_index
+from labpipe.project.catalogue_search import found_values
 from labpipe.project.exports import write_csv, write_mat, write_uff, write_uff58b
 from labpipe.project.ready_response import load_response
 from labpipe.project.rig_file import load_rig
@@ -109,8 +110,7 @@ def whole(read: Callable[[Path], Any]) -> Read:
 
 def index_content(path: Path) -> Content:
     """What a list of a folder with this index says."""
-    with open_index(path.parent) as index:
-        return {"values": repr(values(index, Filter()))}, ()
+    return {"values": repr(found_values(path.parent, Filter()))}, ()
 
 
 def calibration_content(path: Path) -> Content:
@@ -368,8 +368,8 @@ def _write_artefacts(folder: Path) -> None:
     (folder / "a.results.parquet").write_bytes(part.read_bytes())
     for name, source in names.items():
         (folder / name).write_bytes((lab / source).read_bytes())
-    with open_index(lab / "out"):
-        (folder / INDEX).write_bytes((lab / "out" / INDEX).read_bytes())
+    open_index(lab / "out")
+    (folder / INDEX).write_bytes((lab / "out" / INDEX).read_bytes())
     frf, recording = folder / "a.frf.parquet", folder / "a.recording.parquet"
     for name, write in {
         "frf.csv": write_csv,

@@ -622,11 +622,10 @@ def test_another_build_is_said(
     packed: Path, lab: Path, labpipe: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It makes other bytes, since these name the build; it is asked for by --again."""
-    monkeypatch.setattr("labpipe.cli.evidence.code_digest", lambda: "another")
+    monkeypatch.setattr("labpipe.project.archive.code_digest", lambda: "another")
     ended = labpipe("verify", packed)
     assert ended.code == 0 and "not run again: it was made by another build of labpipe (0.1.0)" in ended.out
     assert labpipe("verify", packed, "--again").out.endswith("run again: the same bytes\n")
-    monkeypatch.setattr("labpipe.project.archive.code_digest", lambda: "another")
     ended = labpipe("archive", lab / "out", "-o", lab / "b.zip")
     assert (
         ended.code == 2

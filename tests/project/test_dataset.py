@@ -281,12 +281,12 @@ def test_the_snakefile_of_the_docs_runs(jobs: Path, labpipe) -> None:
 
 def test_a_date_that_is_no_day_is_not_that_of_the_file() -> None:
     """As of single results: the catalogue shows what stands there."""
-    names = [name for name in VALUE_COLUMNS if name not in ("path", "changes", "std_error")]
-    row = {**dict.fromkeys(names), "full_error": 1.0, "changes": [], "date": "2026-11-29"}
-    assert value_row(
-        {**row, "condition.date": "03/11/2026"}, "p", {"date": {"03/11/2026": (None, "")}}
-    ).date == ("03/11/2026")
-    assert value_row({**row, "condition.date": None}, "p", {"date": {}}).date == "2026-11-29"
+    row = {**dict.fromkeys(VALUE_COLUMNS), "full_error": 1.0, "changes": [], "date": "2026-11-29"}
+    row |= {"path": "p", "dated": "the file"}
+    stated = value_row({**row, "condition.date": "03/11/2026"}, {"date": {"03/11/2026": (None, "")}})
+    assert (stated.date, stated.dated) == ("03/11/2026", "")
+    dated = value_row({**row, "condition.date": None}, {"date": {}})
+    assert (dated.date, dated.dated) == ("2026-11-29", "the file")
 
 
 def test_tests_that_failed_are_named_once_with_their_conditions() -> None:

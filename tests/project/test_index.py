@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from hypothesis import given, strategies as st
 from labpipe.artefacts.identification_file import read_identification, write_identification
 from labpipe.errors import DataError
 from labpipe.estimation.statistics import widen
-from labpipe.project.catalogue import INDEX, Filter, open_index, results, values
+from labpipe.project.catalogue import INDEX, MADE_BY, Filter, open_index
+from labpipe.project.catalogue_search import found_results, found_values
 from labpipe.project.run_record import RECORD, begin, record_run, runs_of
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import Failed, Fit, Goodness, Identification, RuleOutcome, warning_codes
@@ -47,8 +49,7 @@ def store(folder: Path, stiffness: float = 1000.0, date: str = "2026-11-03", **c
 
 
 def stiffnesses(folder: Path, **asked: object) -> list[float]:
-    with open_index(folder) as index:
-        return [row.value for row in values(index, Filter(**asked))]
+    return [row.value for row in found_values(folder, Filter(**asked))]
 
 
 def later(path: Path) -> None:
@@ -97,7 +98,7 @@ def test_a_deleted_index_is_made_again_with_the_same_answers(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"no database at all, but a text of some length", b"SQLite format 3\x00" + bytes(200)]
+    "content", [b"", b"no index at all, but a text of some length", bytes(64) + b"\n" + bytes(200)]
 )
 def test_a_damaged_index_is_made_again(tmp_path: Path, content: bytes) -> None:
     store(tmp_path / "a", 1.0)
@@ -108,12 +109,14 @@ def test_a_damaged_index_is_made_again(tmp_path: Path, content: bytes) -> None:
 def test_an_index_of_another_version_is_made_again(tmp_path: Path) -> None:
     store(tmp_path / "a", 1.0)
     stiffnesses(tmp_path)
-    connection = sqlite3.connect(tmp_path / INDEX)
-    with connection:
-        connection.execute("UPDATE made_by SET version = '0.0.0'")
-        connection.execute("UPDATE value SET value = -1")
-    connection.close()
-    assert stiffnesses(tmp_path) == [1.0]
+    _, _, content = (tmp_path / INDEX).read_bytes().partition(b"\n")
+    index = json.loads(content)
+    index["a/identification.json"]["rows"][0]["value"] = -1.0
+    content = json.dumps(index).encode()
+    for version, value in ((MADE_BY, -1.0), ("0.0.0", 1.0)):
+        digest = hashlib.sha256(version.encode() + content).hexdigest()
+        (tmp_path / INDEX).write_bytes(digest.encode() + b"\n" + content)
+        assert stiffnesses(tmp_path) == [value]
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b'{"schema": "labpipe/identification/1"}'])
@@ -121,16 +124,15 @@ def test_a_result_that_cannot_be_read_is_listed_as_such(tmp_path: Path, content:
     store(tmp_path / "good")
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad/identification.json").write_bytes(content)
-    with open_index(tmp_path) as index:
-        rows = {row.path.split("/")[0]: row for row in results(index, Filter())}
+    rows = {row.path.split("/")[0]: row for row in found_results(tmp_path, Filter())}
     assert rows["bad"].verdict == "unreadable" and rows["bad"].fault and rows["good"].verdict == "no rules"
 
 
 def test_a_folder_without_results_and_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"holds no identification\.json"), open_index(tmp_path):
-        pass
-    with pytest.raises(DataError, match="no such folder"), open_index(tmp_path / "none"):
-        pass
+    with pytest.raises(DataError, match=r"holds no identification\.json"):
+        open_index(tmp_path)
+    with pytest.raises(DataError, match="no such folder"):
+        open_index(tmp_path / "none")
 
 
 PASSED, FAILED = (RuleOutcome("accept", "direct.k > 0", 1.0, passed) for passed in (True, False))
@@ -203,8 +205,7 @@ def test_the_day_of_a_run_goes_before_that_of_a_copied_file(tmp_path: Path, labp
         made.append(read_identification(tmp_path / "a/identification.json"))
     for name in ("a", "b"):
         os.utime(tmp_path / name / "identification.json", (1709208000, 1709208000))
-    with open_index(tmp_path) as index:
-        days = {row.path[0]: row.date for row in values(index, Filter())}
+    days = {row.path[0]: row.date for row in found_values(tmp_path, Filter())}
     assert days == {"a": runs_of(tmp_path / RECORD)[-1].time[:10], "b": "2024-02-29"}
     ended = labpipe("trend", tmp_path, "-p", "k", "--over", "date")
     assert "note: a: without a condition `date`, dated by the record of runs" in ended.err
@@ -266,8 +267,7 @@ def test_names_are_taken_as_they_stand(tmp_path: Path, asked: dict[str, object],
 
 def test_rows_carry_what_is_known_of_their_test(tmp_path: Path) -> None:
     store(tmp_path / "a")
-    with open_index(tmp_path) as index:
-        (row,) = values(index, Filter())
+    (row,) = found_values(tmp_path, Filter())
     assert row.conditions == {"date": "2026-11-03", "preload": "400 N", "way": "up"}
     assert row.amounts["preload"] == (400.0, "N") and "way" not in row.amounts
     assert (row.fit, row.test, row.parameter, row.unit, row.std_error, row.label) == (

@@ -18,7 +18,7 @@ import pytest
 from pyarrow import fs
 
 from labpipe.artefacts import mirrored, places as storage
-from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.parquet import read_header
 from tests.machine.s3_server import SECRET, s3_client, s3_server
 from tests.project.laboratory import PIPELINE, RIG, contents, recording
 
@@ -78,7 +78,7 @@ def test_results_there_are_those_made_here(lab: Path, s3: Any, labpipe) -> None:
     there = objects(s3, "out/")
     assert there == contents(lab / "out") and len(there) == 3 * TESTS + 2
     # Provenance: the URL, and the digest of what lies there.
-    (named,) = header_of(lab / "out/recordings/100N-1.recording.parquet").inputs
+    (named,) = read_header(lab / "out/recordings/100N-1.recording.parquet").inputs
     assert (named.path, named.sha256) == ("s3://rigs/runs/100N-1.csv", hashlib.sha256(content(1)).hexdigest())
 
     asked = (["list", "-p", "k"], ["list"], ["trend", "-p", "k", "--over", "preload"], ["verify"])

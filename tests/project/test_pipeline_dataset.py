@@ -15,7 +15,7 @@ import pytest
 
 from labpipe.artefacts.dataset_file import SCHEMA, parts, read_rows
 from labpipe.artefacts.identification_file import read_identification
-from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.parquet import read_header
 from labpipe.errors import ConfigError, DataError
 from labpipe.project import many_tests
 from labpipe.project.pipeline_file import load_pipeline
@@ -118,7 +118,7 @@ def test_each_test_is_judged_by_itself(home: Path) -> None:
 def test_the_layout_is_that_of_hive_and_the_schema_has_a_number(home: Path) -> None:
     (part,) = parts(home / "many")
     assert part.path.parent.name.startswith("date=20") and part.path.parent.parent.name == "rig=Small rig"
-    assert header_of(part.path).parameters == {"schema": SCHEMA}
+    assert read_header(part.path).parameters == {"schema": SCHEMA}
     found = ds.dataset(home / "many/dataset", partitioning="hive").to_table(
         filter=ds.field("parameter") == "k", columns=["test", "value"]
     )

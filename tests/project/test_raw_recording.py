@@ -15,7 +15,7 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 
 from labpipe.artefacts.measured_files import read_response
-from labpipe.artefacts.parquet import header_of
+from labpipe.artefacts.parquet import read_header
 from labpipe.artefacts.writing import output_folder
 from labpipe.cli.main import run_command
 from labpipe.errors import DataError
@@ -223,7 +223,7 @@ def test_a_response_is_fresh_by_its_raw_file_and_its_rig(tmp_path: Path) -> None
         return made.stat().st_ino != before
 
     frf(tmp_path, "out")
-    header = header_of(made)
+    header = read_header(made)
     assert [reference.path for reference in header.inputs] == ["raw.parquet"]
     assert not made_again(lambda: None) and not made_again(lambda: os.utime(tmp_path / "raw.parquet"))
     assert made_again(lambda: lab(tmp_path, 2))

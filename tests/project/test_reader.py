@@ -118,7 +118,8 @@ def test_no_faults_raise_nothing() -> None:
 def test_faults_are_raised_once_in_their_order() -> None:
     faults, tree = Faults(), parse_marked("a: 1\nb: 2\n", "p.yaml")
     faults.add(tree.content["b"], "b", "second")
-    faults.add_unit(tree.content["a"], "a", UnitError("first", "a hint"))
+    with faults.of_unit(tree.content["a"], "a"):
+        raise UnitError("first", "a hint")
     with pytest.raises(ConfigErrors) as caught:
         faults.raise_any()
     assert str(caught.value) == "p.yaml:2:1: b: second\np.yaml:1:1: a: first; a hint"

@@ -84,7 +84,7 @@ def test_an_edited_value_is_made_again_by_run_and_refused_by_the_others(lab: Pat
     assert said in labpipe("list", lab).out
     assert said in labpipe("run", lab / "pipeline.yaml", "-o", lab / "out", "-q").err
     assert contents(lab / "out") == before | {
-        name: (lab / "out" / name).read_bytes() for name in contents(lab / "out") if "sqlite" in name
+        name: (lab / "out" / name).read_bytes() for name in contents(lab / "out") if "catalogue" in name
     }
 
 

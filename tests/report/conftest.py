@@ -16,7 +16,6 @@ from labpipe.report.chart import (
     Chart,
     Drawing,
     Panel,
-    Series,
     arrow,
     cells,
     curve,
@@ -36,7 +35,7 @@ X = np.array([1.0, 2.0, 4.0])
 
 @pytest.fixture(scope="session")
 def every_kind() -> Chart:
-    """Two panels over one speed: curves with bands and bars, lines and spans across, an outline, an arrow, a
+    """Two panels over one speed: curves with bands and bars, lines and a span across, an outline, an arrow, a
     gap, hollow dots, words.
     """
     above = (
@@ -46,13 +45,11 @@ def every_kind() -> Chart:
         upright(3.0, line=":"),
         span(2.0, 3.0, 2),
     )
-    across_the_speed = Series("vspan", "", x=np.array([2.0, 3.0]), y=np.empty(0), colour=3)
     below = (
         dots("c", X, X, 1, marker="o", size=4.0, bars=(0.9 * X, 1.2 * X)),
         dots("outside", X[:1], X[:1], 4, marker="s", hollow=True, size=8.0),
         outline("region", [1.0, 2.0, 2.0], [1.0, 1.0, 2.0]),
         arrow([1.0, 1.0], [2.0, 2.0], GREY),
-        across_the_speed,
         labels([1.5, 3.0], [2.0, 3.0], ["start", "end"], size=6.0),
     )
     speed = Axis("speed", "rpm")

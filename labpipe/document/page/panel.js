@@ -1,7 +1,7 @@
 // One panel: frame, ticks, and the series inside their limits.
 const DASHES = { "-": "", "--": "6 3", ":": "1.5 3", "-.": "7 3 1.5 3" };
 // What lies below what, by kind: shades under curves, arrows over them.
-const DEPTHS = { cells: 0, hspan: 0, vspan: 0, area: 1, hline: 2, vline: 2, line: 3, arrow: 4, text: 4 };
+const DEPTHS = { cells: 0, hspan: 0, area: 1, hline: 2, vline: 2, line: 3, arrow: 4, text: 4 };
 // From -1 to 1: orange, white, violet, of one lightness at both ends (ColorBrewer's PuOr).
 const HEAT = ["7f3b08", "b35806", "e08214", "fdb863", "fee0b6", "f7f7f7", "d8daeb", "b2abd2", "8073ac", "542788", "2d004b"]
   .map((tone) => [0, 2, 4].map((at) => parseInt(tone.slice(at, at + 2), 16)));
@@ -169,10 +169,9 @@ function drawAcross(panel, one, group) {
   const { box, scale } = panel;
   const flat = one.kind.startsWith("h");
   const places = (flat ? one.y : one.x).map((value) => (flat ? scale.y : scale.x).pixel(value));
-  if (one.kind.endsWith("span")) {
+  if (one.kind === "hspan") {
     const [near, far] = [Math.min(...places), Math.max(...places)];
-    const area = flat ? [box.left, near, box.right - box.left, far - near] : [near, box.top, far - near, box.bottom - box.top];
-    element("rect", { class: "shade", x: area[0], y: area[1], width: area[2], height: area[3], ...shadeOf(one) }, group);
+    element("rect", { class: "shade", x: box.left, y: near, width: box.right - box.left, height: far - near, ...shadeOf(one) }, group);
     return;
   }
   const path = flat ? `M${box.left} ${places[0]}H${box.right}` : `M${places[0]} ${box.top}V${box.bottom}`;

@@ -201,14 +201,12 @@ def load_balance(path: Path, overrides: Iterable[str] = ()) -> BalanceFile:
 
 
 def _floor(node: Marked, unit: str, faults: Faults) -> float:
-    try:
+    with faults.of_unit(node, "noise"):
         floor = parse_value(node.text, unit)
-    except UnitError as error:
-        faults.add_unit(node, "noise", error)
-        return 0.0
-    if floor < 0:
-        faults.add(node, "noise", "a scatter cannot be negative")
-    return floor
+        if floor < 0:
+            faults.add(node, "noise", "a scatter cannot be negative")
+        return floor
+    return 0.0
 
 
 def _check_noise(path: Path, runs: Sequence[BalanceRun], lines: Sequence[str], noise: ReadingNoise) -> None:
@@ -254,15 +252,13 @@ def _read_run(
             if part == "weights" and name not in planes:
                 faults.add(entry, place, "there is no such plane", f"planes: {', '.join(planes) or 'none'}")
                 continue
-            try:
+            with faults.of_unit(entry, place):
                 if part == "readings":
                     units.setdefault("", _si_of(entry.text))
                 unit = "kg.m" if part == "weights" else units[""]
                 if " at " not in entry.text:
                     raise UnitError(f"'{entry.text}' is not a vector", f"write it as 12 {unit} at 30 deg")
                 into[name] = parse_phasor(entry.text, unit)
-            except UnitError as error:
-                faults.add_unit(entry, place, error)
     if "readings" not in entries or entries["readings"].content == {}:
         faults.add(node, join(key, "readings"), "are missing", "readings: {A: 8.5 um at 60 deg}")
     name = entries["name"].text if "name" in entries else f"run {len(named) + 1}"

@@ -16,7 +16,7 @@ from labpipe.distributions import f_tail
 from labpipe.errors import ConfigError, DataError, FitError, SettingError, locate_errors
 from labpipe.estimation.regression import solve_scaled
 from labpipe.estimation.statistics import appraise, condition_number, correlation
-from labpipe.quantities import Unit, UnitError, may_agree, parse_unit
+from labpipe.quantities import Unit, locate_units, may_agree, parse_unit
 from labpipe.raw_files.table import RawTable, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import PLANE, STRAIGHT_LINE, Fit, Goodness
@@ -293,10 +293,8 @@ def _group(
 
 def _column(table: RawTable, name: str, values: FloatArray, stated: str = "", power: int = 1) -> Column:
     header = table.units.get(name, "")
-    try:
+    with locate_units("", before=f"unit of column '{name}': "):
         unit = parse_unit(stated or header or "1")
-    except UnitError as error:
-        raise ConfigError(f"unit of column '{name}': {error.what}", hint=error.hint) from None
     if header and stated and not may_agree(stated, header):
         what = f"column '{name}' is in {header} by the file's own header, in {stated} by the entry"
         raise ConfigError(what, hint="leave the unit out of the entry, or correct it")

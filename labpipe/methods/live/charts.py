@@ -16,11 +16,12 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
+from labpipe.artefacts.json_file import named_entries
 from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live import running_fit
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import locate_units, parse_value
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Fit
 from labpipe.records.recording import Channel
@@ -340,10 +341,8 @@ class Goal:
 
     def half(self, parameter: Parameter) -> float:
         """The width that is asked for in the parameter's unit; ConfigError for another unit."""
-        try:
+        with locate_units(f"--until: '{self.text}'"):
             limit = parse_value(self.limit, "1" if self.limit.endswith("%") else parameter.unit)
-        except UnitError as error:
-            raise ConfigError(f"--until: '{self.text}': {error.what}", hint=error.hint) from None
         if limit <= 0:
             raise ConfigError(f"--until: '{self.text}': no interval is so narrow", hint="a width above zero")
         return limit * abs(parameter.value) if self.limit.endswith("%") else limit
@@ -431,9 +430,7 @@ class Update:
         parameters, remaining = {}, {}
         for name, standing in self.standings.items():
             parameter = standing.parameter
-            parameters[name] = {
-                key: getattr(parameter, key) for key in ("value", "unit", "std_error", "ci95")
-            }
+            parameters[name] = named_entries(parameter, "value", "unit", "std_error", "ci95")
             if standing.goal is not None:
                 parameters[name]["goal"] = standing.goal
             if standing.remaining is not None:
@@ -443,9 +440,8 @@ class Update:
         return {
             "averages": self.averages,
             "parameters": parameters,
-            "findings": [{"code": f.code, "message": f.message} for f in self.findings],
-            "events": list(self.events),
-            "levels": dict(self.levels),
+            "findings": [named_entries(finding, "code", "message") for finding in self.findings],
+            **named_entries(self, "events", "levels"),
             "remaining": remaining,
             "stop": self.stop,
         }

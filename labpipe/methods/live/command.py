@@ -96,7 +96,7 @@ def live(
     when the test ended before.
     """
     from labpipe.methods.live.charts import Goal
-    from labpipe.methods.live.session import Session, columns_of
+    from labpipe.methods.live.session import Session
     from labpipe.methods.live.sources import Frames, open_source
     from labpipe.project.pipeline_file import load_for_stream
 
@@ -116,11 +116,11 @@ def live(
             kept_frames = None if output is None else output / FRAMES
             if sys.stdin.isatty():
                 raise ConfigError("standard input is a terminal", hint="pipe frames into it, or name a file")
-            stream = Frames(sys.stdin.buffer, columns_of(rig), kept_frames)
+            stream = Frames(sys.stdin.buffer, rig.columns, kept_frames)
             if stream.n_earlier and not quiet:
                 echo(f"goes on with the {stream.n_earlier} frames that are kept in {kept_frames}", err=True)
         else:
-            stream = open_source(recording, columns_of(rig))
+            stream = open_source(recording, rig.columns)
         session = Session(pipeline, rig, stream, goals, idle, recording, stopped=lambda: bool(stop_requests))
         goals_hold = _follow(session, as_json, page, bell, quiet)
         if stop_requests and not quiet and not as_json:
@@ -260,7 +260,6 @@ def _echo_left_out(session: Session) -> None:
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:
     import numpy as np
 
-    from labpipe.methods.live.session import columns_of
     from labpipe.methods.live.sources import Played
     from labpipe.project.simulate import load_virtual_rig
     from labpipe.raw_files.screening import TimeAxisScreen
@@ -269,13 +268,12 @@ def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> A
 
     files = simulate(load_virtual_rig(rig_path), seed, [run_name] if run_name else None).files
     tables = [file.columns for file in files.values() if isinstance(file, LoggedTable)]
-    columns = columns_of(rig)
-    recorded = next((table for table in tables if set(columns) <= set(table)), tables[0])
-    check_names(rig_path, columns, list(recorded))
-    samples = np.stack([recorded[name] for name in columns], axis=1)
+    recorded = next((table for table in tables if set(rig.columns) <= set(table)), tables[0])
+    check_names(rig_path, rig.columns, list(recorded))
+    samples = np.stack([recorded[name] for name in rig.columns], axis=1)
     rate = rig.sample_rate
     if rate is None:
-        screen = TimeAxisScreen(columns[0])
+        screen = TimeAxisScreen(rig.columns[0])
         screen.add(samples[:, 0] * rig.time_scale)
         rate = screen.sample_rate()
     return Played(samples, rate, speed)

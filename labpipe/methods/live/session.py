@@ -359,8 +359,3 @@ def _unfollowed_finding(fit: str, reason: str, whole: bool) -> Finding:
         instead = "it is computed again from all samples where a goal is due, at the latest after "
         instead += f"{more} more ({early} before average {LEAST_WHOLE})"
     return note("not-followed", f"{fit} cannot be followed average by average: {reason}; {instead}")
-
-
-def columns_of(rig: Rig) -> list[str]:
-    """The columns that a rig reads: its time, then its channels."""
-    return [*([rig.time] if rig.time else []), *(channel.column for channel in rig.channels)]

@@ -87,7 +87,7 @@ def _with_intervals(system: RotorSystem, speeds: FloatArray) -> tuple[dict[str, 
 
 
 def _band(text: str, speed: float) -> tuple[float, float]:
-    from labpipe.quantities import UnitError
+    from labpipe.quantities import locate_units
     from labpipe.records.settings import Setting, to_band
 
     if not text:
@@ -95,10 +95,8 @@ def _band(text: str, speed: float) -> tuple[float, float]:
             hint = "--speeds '5-200 Hz'"
             raise ConfigError("--speeds is needed, since the file's speed is zero", hint=hint)
         return 0.05 * speed, 2 * speed
-    try:
+    with locate_units("--speeds"):
         low, high = to_band(text, Setting("band", "speeds", unit="Hz"))
-    except UnitError as error:
-        raise ConfigError(f"--speeds: {error.what}", hint=error.hint) from None
     if low <= 0:
         raise ConfigError("--speeds must begin above zero", hint="--speeds '5-200 Hz'")
     return low, high

@@ -18,7 +18,6 @@ from labpipe.methods.rotor.rotor_file import read_entries, read_rotor
 from labpipe.methods.rotor_system.build import Pedestal, RotorSystem, linear_bearing
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings, shorten_number
-from labpipe.quantities import UnitError
 from labpipe.records.settings import FileKind, Settings, quantity, setting
 from labpipe.records.uncertain import Uncertain, is_uncertain, parse_uncertain
 from labpipe.registry import nearest
@@ -168,13 +167,10 @@ def _take(node: Marked | None, key: str, name: str, unit: str, faults: Faults) -
         number = shorten_number(entry.content[name])
         if not is_uncertain(number.text):
             continue
-        try:
+        with faults.of_unit(number, join(key, label, name)):
             taken[label] = parse_uncertain(number.text, unit)
-        except UnitError as error:
-            faults.add_unit(number, join(key, label, name), error)
-            continue
-        text = f"{taken[label].value!r} {'' if unit == '1' else unit}".strip()
-        entry.content[name] = Marked(text, number.where, number.key_where, text)
+            text = f"{taken[label].value!r} {'' if unit == '1' else unit}".strip()
+            entry.content[name] = Marked(text, number.where, number.key_where, text)
     return taken
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from labpipe.methods.run_ups.settings import MANY_PULSES, ONE_PULSE
 from labpipe.project.ingest import SourceFile, ingest, is_recording
 from labpipe.project.measured import file_stems
 from labpipe.project.rig_file import load_rig
-from labpipe.quantities import QUANTITIES, UnitError, parse_value, to_display
+from labpipe.quantities import QUANTITIES, locate_units, parse_value, to_display
 from labpipe.records.recording import Channel
 from labpipe.records.rig import Rig
 from labpipe.records.settings import Setting, parse_phasor, to_band
@@ -453,16 +452,8 @@ def _check_options(
 def _band(option: str, text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    with _option(option):
+    with locate_units(option):
         return to_band(text, Setting("band", option, unit="Hz"))
-
-
-@contextmanager
-def _option(option: str) -> Iterator[None]:
-    try:
-        yield
-    except UnitError as error:
-        raise ConfigError(f"{option}: {error.what}", hint=error.hint) from None
 
 
 def _stated_unbalance(texts: tuple[str, ...], since: bool, is_saved: bool) -> float:
@@ -554,7 +545,7 @@ def _unbalances(texts: tuple[str, ...]) -> dict[str, complex]:
         plane, _, size = (part.strip() for part in text.partition("="))
         if plane in unbalances:
             raise ConfigError(f"--unbalance: '{plane}' is named twice", hint="give the sum of both")
-        with _option(f"--unbalance {text}"):
+        with locate_units(f"--unbalance {text}"):
             unbalances[plane] = parse_phasor(size, "kg.m")
     return unbalances
 
@@ -574,5 +565,5 @@ def _clearance(gap: str | None, limit: str | None) -> Clearance | None:
 def _value(option: str, text: str | None, unit: str) -> float | None:
     if text is None:
         return None
-    with _option(option):
+    with locate_units(option):
         return parse_value(text, unit)

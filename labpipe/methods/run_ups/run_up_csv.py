@@ -27,7 +27,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import DataError, locate_errors
 from labpipe.methods.run_ups.records import DIRECTIONS, RunUp, Shaker
-from labpipe.quantities import UnitError, parse_value
+from labpipe.quantities import locate_units, parse_value
 from labpipe.raw_files.table import check_columns
 from labpipe.raw_files.text_table import CsvTable, open_text
 from labpipe.records.settings import parse_phasor
@@ -222,10 +222,8 @@ def _head(path: Path) -> dict[str, tuple[str, str]]:
 
 
 def _parse(text: str, where: str, key: str, unit: str, parse: Callable[..., Any] = parse_value) -> Any:
-    try:
+    with locate_units(where, DataError, f"{key}: "):
         return parse(text, unit)
-    except UnitError as error:
-        raise DataError(f"{key}: {error.what}", where, error.hint) from None
 
 
 def write_run_up_csv(path: Path, run: RunUp) -> None:
