@@ -21,7 +21,14 @@ from labpipe.estimation.budget import (
     sources_of,
     with_contributions,
 )
-from labpipe.estimation.comparison import candidates, comparison_findings, hold_values, relaxing_mount
+from labpipe.estimation.comparison import (
+    NO_SUPPORT,
+    OtherLaw,
+    candidates,
+    comparison_findings,
+    hold_values,
+    relaxing_mounts,
+)
 from labpipe.estimation.damping import HYSTERETIC, damp
 from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected_model
@@ -281,11 +288,11 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     has_error = judgement.model_error is not None
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
-    other = _other_law(case, estimate, law, compared_models) if has_error else None
-    law, values, left = other or ("", {}, np.inf)
-    parameters = hold_values(parameters, values)
-    faults = _find_faults(case, judged, LIKELIER * left) if judging else {}
-    cause = next((fault for fault in faults if fault), law)
+    laws = _other_laws(case, estimate, law, compared_models) if has_error else []
+    parameters = functools.reduce(hold_values, (other.values for other in laws), parameters)
+    likeliest = min(laws, key=lambda other: other.aic, default=None)
+    faults = _find_faults(case, judged, likeliest) if judging else {}
+    cause = next((fault for fault in faults if fault), likeliest.words if likeliest else "")
     if cause and judgement.by_cause is not None:
         judgement = replace(judgement, findings=judgement.by_cause(cause))
         reason = cause.removeprefix("a ").partition(",")[0]
@@ -330,22 +337,19 @@ def _compare_variants(
     return compared, notes, HYSTERETIC.name + LAW if law_explains else ""
 
 
-def _other_law(
-    case: Case, estimate: Estimate, law: str, compared: Sequence[Candidate]
-) -> tuple[str, dict[str, FloatArray], float] | None:
-    """The *law* of damping that explains the residual, the first of those *compared*, its values by name and
-    its chi-square. Without one, the mount that relaxes with frequency, as of `relaxing_mount`, where that
-    explains what a viscous fit of k and c, of known mass or with m, leaves over the noise; else None.
+def _other_laws(case: Case, estimate: Estimate, law: str, compared: Sequence[Candidate]) -> list[OtherLaw]:
+    """The *law* of damping that explains the residual, the first of those *compared*, and mounts that relax
+    with frequency, as of `relaxing_mounts`, that explain what a viscous fit of k and c, of known mass or with
+    m, leaves over the noise.
     """
-    if law:
-        return law, _values_of_law(case.setup, case.measured), compared[0].chi2
+    laws = [OtherLaw(law, _values_of_law(case.setup, case.measured), compared[0].aic)] if law else []
     settings, chi2 = case.setup.settings, estimate.gof.chi2_reduced
     suits = settings.kind.one_frf and settings.damping == VISCOUS and settings.sliding is None
     is_plain = case.model.names in (("k", "c"), ("k", "c", "m")) and not derived.is_corrected(settings)
     if chi2 is None or not (suits and is_plain) or not settings.estimates.likelihood or settings.fixed:
-        return None
+        return laws
     mass = None if settings.mass == ESTIMATE else float(settings.mass)  # type: ignore[arg-type]
-    return relaxing_mount(case.measured, mass, chi2)
+    return [*laws, *relaxing_mounts(case.measured, mass, chi2)]
 
 
 def _values_of_law(setup: Setup, measured: Measured) -> dict[str, FloatArray]:
@@ -360,10 +364,6 @@ def _values_of_law(setup: Setup, measured: Measured) -> dict[str, FloatArray]:
         values["zeta"] = values["eta"] / 2
         values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
     return values
-
-
-# Times the chi-square of another law of damping up to which a delay is as likely.
-LIKELIER = 2.0
 
 
 def _with_budget(
@@ -506,11 +506,12 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Finding]:
+def _find_faults(case: Case, judged: _Judged, law: OtherLaw | None) -> dict[str, Finding]:
     """Findings by the cause of the residual that they name: channels of a response to a force taken for
     others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
     makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty. *most_chi2*: chi-square [1] that a delay may leave.
+    phase to a force, a mass without uncertainty. A delay is not named where the *law* is better supported,
+    and with it where that has support as well.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
     p_value = estimate.gof.chi2_p
@@ -521,9 +522,14 @@ def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Fin
     is_sound = settings.estimates.phase and estimate.converged and not has_error
     if not is_sound or not isinstance(model, DynamicModel):
         return {}
-    delays = causes.delay_findings(case.measured, model, estimate.values, most_chi2) if is_rejected else {}
-    if delays:
-        return {f"a delay of {channel}": finding for channel, finding in delays.items()}
+    delay = causes.likeliest_delay(case.measured, model, estimate.values) if is_rejected else None
+    of_law = np.inf if law is None else law.aic - 2 * (estimate.values.size + 1)
+    if delay is not None and delay[0] < of_law + NO_SUPPORT:
+        left, channel, finding = delay
+        if law is None or left < of_law - NO_SUPPORT:
+            return {f"a delay of {channel}": finding}
+        also = f"{finding.message}; {law.words} explains as much"
+        return {f"a delay of {channel} or {law.words}": replace(finding, message=also)}
     masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
     return {"": masses[0]} if masses else {}
 
