@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -475,6 +475,14 @@ class OtherLaw:
     words: str
     values: dict[str, FloatArray]
     aic: float
+
+    def with_errors(self, errors: Mapping[str, float]) -> OtherLaw:
+        """The same with further *errors* [unit of the parameter] of its values, by name."""
+        values = {
+            name: np.array([value, np.hypot(error, errors.get(name, 0.0))])
+            for name, (value, error) in self.values.items()
+        }
+        return replace(self, values=values)
 
 
 def relaxing_mounts(measured: Measured, mass: float | None, chi2: float) -> Iterator[OtherLaw]:
