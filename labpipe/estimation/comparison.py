@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,6 +27,7 @@ from labpipe.estimation.weights import has_noise, weight_uncertainty, whiten_val
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
+from labpipe.records.uncertain import Budget
 
 PASSES = 8
 # The descent ends where a full step would lower chi-square by a small part of its expectation per equation:
@@ -384,10 +385,10 @@ RESONANCE_STEPS = 60
 
 @dataclass(frozen=True)
 class RelaxingMount:
-    """H(w) = 1 / (k + j w c + k_r g - w^2 m): a mass on a mount whose stiffness rises with frequency, and
-    dissipates on the way, beside a damper. g = s / (1 + s), s = j w tau: from k to k + k_r (Zener's
-    three-parameter solid; Nashif, Jones and Henderson, Vibration Damping, 1985, ch. 2); with a *reference*
-    w_0 [rad/s] g = (j w / w_0)^alpha (Bagley and Torvik 1983, AIAA Journal 21:741). Parameters: k [N/m], c
+    """H(w) = 1 / (k + j w c + k_r g - w^2 m): a mass on a mount whose stiffness rises with frequency, beside
+    a damper. g = s / (1 + s), s = j w tau, of Zener's solid (Nashif, Jones and Henderson, Vibration Damping,
+    1985, ch. 2); with a *reference* w_0 [rad/s] (j w / w_0)^alpha (Bagley and Torvik 1983, AIAA Journal
+    21:741). Parameters: k [N/m], c
     [N.s/m], k_r [N/m], tau [s] or alpha [1], and m [kg] where *mass* is None. Equation (est-relaxing).
     """
 
@@ -457,13 +458,11 @@ class RelaxingMount:
         k = complex(self.stiffness(parameters, w)[0])
         return np.array([k.real, k.imag / w[0], w[0] / (2 * np.pi), k.imag / (2 * k.real), mass])
 
-    def words(self, parameters: FloatArray) -> str:
-        """What the mount of *parameters* (n_parameter,) [parameter units] is."""
-        said = "stiffness that rises with frequency, as of rubber: "
-        if self.reference:
-            return f"{said}with its power {parameters[3]:.3g} {RELAXES}"
-        rest, far = (amount_text(parameters[0] + part, None, "N/m") for part in (0.0, parameters[2]))
-        return f"{said}{rest} at rest, {far} far above {1 / (2 * np.pi * parameters[3]):.3g} Hz {RELAXES}"
+    def words(self, parameters: FloatArray, ends: FloatArray) -> str:
+        """What the mount of *parameters* (n_parameter,) [parameter units] is between *ends* (2,) [rad/s]."""
+        pairs = zip(ends / (2 * np.pi), self.stiffness(parameters, ends).real, strict=True)
+        said = ", ".join(f"{amount_text(k, None, 'N/m')} at {f:.3g} Hz" for f, k in pairs)
+        return f"stiffness that rises with frequency, as of rubber: {said} {RELAXES}"
 
 
 @dataclass(frozen=True)
@@ -475,14 +474,6 @@ class OtherLaw:
     words: str
     values: dict[str, FloatArray]
     aic: float
-
-    def with_errors(self, errors: Mapping[str, float]) -> OtherLaw:
-        """The same with further *errors* [unit of the parameter] of its values, by name."""
-        values = {
-            name: np.array([value, np.hypot(error, errors.get(name, 0.0))])
-            for name, (value, error) in self.values.items()
-        }
-        return replace(self, values=values)
 
 
 def relaxing_mounts(measured: Measured, mass: float | None, chi2: float) -> Iterator[OtherLaw]:
@@ -507,21 +498,26 @@ def relaxing_mounts(measured: Measured, mass: float | None, chi2: float) -> Iter
             errors = np.linalg.norm(np.subtract(ends[0], ends[1]), axis=0) / 2
             pairs = np.column_stack([model.at_resonance(values, middle), errors])
             by_name = dict(zip(("k", "c", "f_n", "zeta", "m"), pairs, strict=True))
-            yield OtherLaw(model.words(values), by_name, left * estimate.dof + 2 * values.size)
+            yield OtherLaw(
+                model.words(values, omega[[0, -1]]), by_name, left * estimate.dof + 2 * values.size
+            )
 
 
-def hold_values(parameters: tuple[Parameter, ...], values: dict[str, FloatArray]) -> tuple[Parameter, ...]:
-    """The parameters with intervals that hold *values* of another law as well, by name (2,) [unit of the
-    parameter] with its standard error, where that alone leaves noise.
+def hold_values(
+    parameters: Iterable[Parameter], laws: Iterable[OtherLaw], budget: Budget | None
+) -> tuple[Parameter, ...]:
+    """The parameters with intervals that hold the values under other *laws* as well, with their errors and
+    those of the numbers in the *budget*.
     """
-    widened = []
-    for p in parameters:
-        if p.name in values and p.ci95 is not None and p.interval is not None:
-            value, error = values[p.name].tolist()
-            low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
+    held = {p.name: p for p in parameters}
+    stated = {} if budget is None else dict(zip(budget.names, budget.systematic, strict=True))
+    for name, (value, error) in (entry for law in laws for entry in law.values.items()):
+        p = held.get(name)
+        if p is not None and p.ci95 is not None and p.interval is not None:
+            half = NORMAL * float(np.hypot(error, stated.get(name, 0.0)))
+            low, high = min(p.ci95[0], float(value) - half), max(p.ci95[1], float(value) + half)
             held_error = (high - low) / (2 * NORMAL)
             excess = float(np.sqrt(max(held_error**2 - p.interval.noise**2, 0.0)))
             parts = replace(p.interval, discrepancy=excess)
-            p = restate(p, p.value, held_error, (low, high), interval=parts)
-        widened.append(p)
-    return tuple(widened)
+            held[name] = restate(p, p.value, held_error, (low, high), interval=parts)
+    return tuple(held.values())

@@ -282,11 +282,11 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     has_error = judgement.model_error is not None
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
-    laws = _other_laws(case, estimate, law, parameters) if has_error else []
-    parameters = functools.reduce(comparison.hold_values, (other.values for other in laws), parameters)
-    likeliest = min(laws, key=lambda other: other.aic, default=None)
-    faults = _find_faults(case, judged, likeliest) if judging else {}
-    cause = next((fault for fault in faults if fault), likeliest.words if likeliest else "")
+    laws = _other_laws(case, estimate, law) if has_error else []
+    if laws:
+        parameters = comparison.hold_values(parameters, laws, budget_of(case, parameters))
+    faults = _find_faults(case, judged, laws) if judging else {}
+    cause = next((fault for fault in faults if fault), laws[0].words if laws else "")
     if cause and judgement.by_cause is not None:
         judgement = replace(judgement, findings=judgement.by_cause(cause))
         reason = cause.removeprefix("a ").partition(",")[0]
@@ -331,29 +331,26 @@ def _compare_variants(
     return compared, notes, HYSTERETIC.name + LAW if law_explains else ""
 
 
-def _other_laws(
-    case: Case, estimate: Estimate, law: str, parameters: tuple[Parameter, ...]
-) -> list[comparison.OtherLaw]:
+def _other_laws(case: Case, estimate: Estimate, law: str) -> list[comparison.OtherLaw]:
     """The *law* of damping that explains the residual, cross terms that a model is without, and mounts, as of
     `relaxing_mounts`, that explain what a viscous fit of k and c, of known mass or with m, leaves over the
-    noise, with the errors that stated numbers make in *parameters*.
+    noise; the likeliest first.
     """
     settings, chi2 = case.setup.settings, estimate.gof.chi2_reduced
     laws = [_law(case, law, damping=HYSTERETIC.name)] if law else []
     seeks = settings.damping == VISCOUS and settings.sliding is None and not settings.fixed
-    seeks = seeks and settings.estimates.likelihood
-    if seeks and chi2 is not None and settings.kind.richer and not settings.compare:
+    if chi2 is None or not (seeks and settings.estimates.likelihood):
+        return laws
+    if settings.kind.richer and not settings.compare:
         with contextlib.suppress(ConfigError, FitError):
             crossed = _law(case, CROSS, model=settings.kind.richer)
             if crossed.aic < comparison.LITTLE * chi2 * estimate.dof:
                 laws.append(crossed)
     is_plain = case.model.names in (("k", "c"), ("k", "c", "m")) and not derived.is_corrected(settings)
-    if seeks and chi2 is not None and settings.kind.one_frf and is_plain:
+    if settings.kind.one_frf and is_plain:
         mass = None if settings.mass == ESTIMATE else float(settings.mass)  # type: ignore[arg-type]
         laws.extend(comparison.relaxing_mounts(case.measured, mass, chi2))
-    budget = budget_of(case, parameters) if laws else None
-    stated = {} if budget is None else dict(zip(budget.names, budget.systematic, strict=True))
-    return [other.with_errors(stated) for other in laws]
+    return sorted(laws, key=lambda other: other.aic)
 
 
 def _law(case: Case, words: str, **change: Any) -> comparison.OtherLaw:
@@ -513,12 +510,12 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _find_faults(case: Case, judged: _Judged, law: comparison.OtherLaw | None) -> dict[str, Finding]:
+def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw]) -> dict[str, Finding]:
     """Findings by the cause of the residual that they name: channels of a response to a force taken for
     others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
     makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty. A delay is not named where the *law* is better supported,
-    and with it where that has support as well.
+    phase to a force, a mass without uncertainty. A delay is not named where the first of *laws* is better
+    supported, and with it where that has support as well.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
     p_value = estimate.gof.chi2_p
@@ -530,13 +527,13 @@ def _find_faults(case: Case, judged: _Judged, law: comparison.OtherLaw | None) -
     if not is_sound or not isinstance(model, DynamicModel):
         return {}
     delay = causes.likeliest_delay(case.measured, model, estimate.values) if is_rejected else None
-    of_law = np.inf if law is None else law.aic - 2 * (estimate.values.size + 1)
+    of_law = laws[0].aic - 2 * (estimate.values.size + 1) if laws else np.inf
     if delay is not None and delay[0] < of_law + comparison.NO_SUPPORT:
         left, channel, finding = delay
-        if law is None or left < of_law - comparison.NO_SUPPORT:
+        if left < of_law - comparison.NO_SUPPORT:
             return {f"a delay of {channel}": finding}
-        also = f"{finding.message}; {law.words} explains as much"
-        return {f"a delay of {channel} or {law.words}": replace(finding, message=also)}
+        also = f"{finding.message}; {laws[0].words} explains as much"
+        return {f"a delay of {channel} or {laws[0].words}": replace(finding, message=also)}
     masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
     return {"": masses[0]} if masses else {}
 
