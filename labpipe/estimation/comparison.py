@@ -388,8 +388,8 @@ class RelaxingMount:
     """H(w) = 1 / (k + j w c + k_r g - w^2 m): a mass on a mount whose stiffness rises with frequency, beside
     a damper. g = s / (1 + s), s = j w tau, of Zener's solid (Nashif, Jones and Henderson, Vibration Damping,
     1985, ch. 2); with a *reference* w_0 [rad/s] (j w / w_0)^alpha (Bagley and Torvik 1983, AIAA Journal
-    21:741). Parameters: k [N/m], c
-    [N.s/m], k_r [N/m], tau [s] or alpha [1], and m [kg] where *mass* is None. Equation (est-relaxing).
+    21:741). Parameters: k [N/m], c [N.s/m], k_r [N/m], tau [s] or alpha [1], m [kg] where *mass* is None.
+    Equation (est-relaxing).
     """
 
     mass: float | None

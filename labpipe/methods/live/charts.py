@@ -396,7 +396,7 @@ SCATTER_P = 1e-3
 def scatter_of_repeats(parameter: Parameter) -> float:
     """The half-width [parameter unit] by the scatter of repeats, as of a run; 0 where noise may be all."""
     of, parts = parameter.repeats, parameter.interval
-    if of is None or parts is None or not parts.noise > 0:
+    if not (of and parts and parts.noise > 0):
         return 0.0
     squares = float(np.var(of.values)) * len(of.values) / (of.used * parts.noise**2)
     return NORMAL * parts.repeats if chi2_tail(squares, len(of.values) - 1) < SCATTER_P else 0.0
