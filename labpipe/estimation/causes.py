@@ -279,17 +279,17 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-def delay_findings(
-    measured: Measured, model: DynamicModel, values: FloatArray, most: float = np.inf
-) -> dict[str, Finding]:
-    """The channel whose delay explains a residual that is far from noise, with the finding; *values*
-    (n_parameter,) [parameter units] of the fit; *most*: chi-square [1] above which another cause is likelier.
+def likeliest_delay(
+    measured: Measured, model: DynamicModel, values: FloatArray
+) -> tuple[float, str, Finding] | None:
+    """The chi-square [1] that a delay leaves of a residual that is far from noise, its channel, and the
+    finding; *values* (n_parameter,) [parameter units] of the fit.
 
     The delay of each response, of several forces too, is fitted beside all parameters from the best of a
     grid. None of unknown noise, nor without most of the excess. Equation (est-delay).
     """
     if not has_noise(measured):
-        return {}
+        return None
     try:
         grids = [
             (*start, name)
@@ -297,14 +297,11 @@ def delay_findings(
             for start in _best_of_grid(measured, model, values, late)
         ]
     except (FitError, np.linalg.LinAlgError):
-        return {}
+        return None
     grids.sort(key=lambda grid: grid[0])
     tried = [(_delay(measured, model, values, *grid[1:]), grid[-1]) for grid in grids[:LIKELIEST]]
-    explained = [(fitted, name) for fitted, name in tried if fitted is not None]
-    if not explained:
-        return {}
-    (left, finding), name = min(explained, key=lambda entry: entry[0][0])
-    return {name: finding} if left <= most else {}
+    explained = [(fitted[0], name, fitted[1]) for fitted, name in tried if fitted is not None]
+    return min(explained, key=lambda entry: entry[0], default=None)
 
 
 def _best_of_grid(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,6 +27,7 @@ from labpipe.estimation.weights import has_noise, weight_uncertainty, whiten_val
 from labpipe.records.finding import NORMAL, Finding, Parameter
 from labpipe.records.identification import Candidate
 from labpipe.records.settings import ESTIMATE
+from labpipe.records.uncertain import Budget
 
 PASSES = 8
 # The descent ends where a full step would lower chi-square by a small part of its expectation per equation:
@@ -375,39 +376,49 @@ def _test(candidate: Candidate, richer: list[Candidate]) -> Candidate:
     return replace(candidate, p_value=chi2_tail(gained, added)) if added > 0 else candidate
 
 
-# Relaxation times that a search begins from, to the band's ends and as far beyond as this factor.
-N_TIME, BEYOND = 13, 3.0
-# Steps of w = sqrt(Re K(w) / m) from rest, which rise to the resonance and come to rest there.
+# Relaxation times, or powers, that a search begins from, times to the band's ends and as far beyond as this
+# factor.
+N_COURSE, BEYOND = 13, 3.0
+# Steps of w = sqrt(Re K(w) / m) from the band's middle, which come to rest at the resonance.
 RESONANCE_STEPS = 60
 
 
 @dataclass(frozen=True)
 class RelaxingMount:
-    """H(w) = 1 / (k + j w c + k_r s / (1 + s) - w^2 m), s = j w tau: a mass on a mount whose stiffness rises
-    from k to k + k_r with frequency, and dissipates on the way (Zener's three-parameter solid; Nashif, Jones
-    and Henderson, Vibration Damping, 1985, ch. 2), beside a damper. Parameters: k [N/m], c [N.s/m], k_r
-    [N/m], tau [s], and m [kg] where *mass* is None. Equation (est-relaxing).
+    """H(w) = 1 / (k + j w c + k_r g - w^2 m): a mass on a mount whose stiffness rises with frequency, beside
+    a damper. g = s / (1 + s), s = j w tau, of Zener's solid (Nashif, Jones and Henderson, Vibration Damping,
+    1985, ch. 2); with a *reference* w_0 [rad/s] (j w / w_0)^alpha (Bagley and Torvik 1983, AIAA Journal
+    21:741). Parameters: k [N/m], c [N.s/m], k_r [N/m], tau [s] or alpha [1], m [kg] where *mass* is None.
+    Equation (est-relaxing).
     """
 
     mass: float | None
+    reference: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
-        return ("k", "c", "k_r", "tau", *(() if self.mass is not None else ("m",)))
+        return ("k", "c", "k_r", "alpha" if self.reference else "tau", "m")[: 4 + (self.mass is None)]
 
     @property
     def units(self) -> tuple[str, ...]:
-        return ("N/m", "N.s/m", "N/m", "s", *(() if self.mass is not None else ("kg",)))
+        return ("N/m", "N.s/m", "N/m", "1" if self.reference else "s", "kg")[: len(self.names)]
 
     def mass_of(self, parameters: FloatArray) -> float:
         """The mass [kg], given or among *parameters* (n_parameter,) [parameter units]."""
         return float(parameters[4]) if self.mass is None else self.mass
 
+    def course(self, at: float, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """g of tau [s] or alpha [1] and its slope over that, each (n_line,) [1]."""
+        if self.reference:
+            turned = 1j * omega / self.reference
+            return turned**at, turned**at * np.log(turned)
+        s = 1j * omega * at
+        return s / (1 + s), 1j * omega / (1 + s) ** 2
+
     def stiffness(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """K(w) [N/m], (n_line,)."""
-        k, c, rise, tau = parameters[:4]
-        s = 1j * omega * tau
-        return np.asarray(k + 1j * omega * c + rise * s / (1 + s))
+        k, c, rise, at = parameters[:4]
+        return np.asarray(k + 1j * omega * c + rise * self.course(at, omega)[0])
 
     def receptance(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """H(w) [m/N], (n_line, 1, 1)."""
@@ -416,77 +427,97 @@ class RelaxingMount:
 
     def jacobian(self, parameters: FloatArray, omega: FloatArray) -> ComplexArray:
         """dH/dp, (n_parameter, n_line, 1, 1) [m/N per parameter unit]."""
-        turned, (rise, tau) = 1j * omega, parameters[2:4]
-        below = 1 + turned * tau
-        slopes = [np.ones_like(below), turned, turned * tau / below, rise * turned / below**2, turned**2]
+        turned, (course, slope) = 1j * omega, self.course(parameters[3], omega)
+        slopes = [np.ones_like(turned), turned, course, parameters[2] * slope, turned**2]
         square = self.receptance(parameters, omega)[:, 0, 0] ** 2
         return (-square * np.array(slopes[: len(self.names)]))[:, :, None, None]
 
     def start(self, measured: Measured) -> FloatArray:
-        """The parameters (n_parameter,) [parameter units] of least squares of 1 / H by the best time."""
+        """The parameters (n_parameter,) [parameter units] of least squares of 1 / H by the best course."""
         omega, h = measured.omega, measured.matrix[:, 0, 0]
         assert measured.variance is not None
         deviation = np.sqrt(measured.variance[:, 0])
         weights = np.abs(h) ** 2 / deviation
         side = h.conj() / deviation + (self.mass or 0.0) * weights * omega**2
+        times = 1 / np.geomspace(omega[0] / BEYOND, BEYOND * omega[-1], N_COURSE)
         tried = []
-        for tau in 1 / np.geomspace(omega[omega > 0][0] / BEYOND, BEYOND * omega[-1], N_TIME):
-            s = 1j * omega * tau
-            columns = np.array([np.ones_like(s), 1j * omega, s / (1 + s), (1j * omega) ** 2])
+        for at in np.linspace(0, 1, N_COURSE + 2)[1:-1] if self.reference else times:
+            columns = np.array([np.ones_like(side), 1j * omega, self.course(at, omega)[0], (1j * omega) ** 2])
             rows, whole = stack(weights * columns[: len(self.names) - 1]), stack(side)
             values, squares, *_ = np.linalg.lstsq(rows.T, whole)
-            tried.append((float(np.sum(squares)), [*values[:3], tau, *values[3:]]))
+            tried.append((float(np.sum(squares)), [*values[:3], at, *values[3:]]))
         return np.array(min(tried)[1])
 
-    def at_resonance(self, parameters: FloatArray) -> FloatArray:
-        """Stiffness k [N/m], damping c [N.s/m], f_n [Hz] and zeta [1] where Re K(w) = m w^2, (4,)."""
-        mass, omega = self.mass_of(parameters), np.zeros(1)
+    def at_resonance(self, parameters: FloatArray, omega: float) -> FloatArray:
+        """Stiffness k [N/m], damping c [N.s/m], f_n [Hz] and zeta [1] where Re K(w) = m w^2, and the mass
+        [kg], (5,); *omega* [rad/s] is near.
+        """
+        mass, w = self.mass_of(parameters), np.array([omega])
         for _ in range(RESONANCE_STEPS):
-            omega = np.sqrt(np.abs(self.stiffness(parameters, omega).real) / mass)
-        k, w = complex(self.stiffness(parameters, omega)[0]), float(omega[0])
-        return np.array([k.real, k.imag / w, w / (2 * np.pi), k.imag / (2 * k.real)])
+            w = np.sqrt(np.abs(self.stiffness(parameters, w).real) / mass)
+        k = complex(self.stiffness(parameters, w)[0])
+        return np.array([k.real, k.imag / w[0], w[0] / (2 * np.pi), k.imag / (2 * k.real), mass])
+
+    def words(self, parameters: FloatArray, ends: FloatArray) -> str:
+        """What the mount of *parameters* (n_parameter,) [parameter units] is between *ends* (2,) [rad/s]."""
+        pairs = zip(ends / (2 * np.pi), self.stiffness(parameters, ends).real, strict=True)
+        said = ", ".join(f"{amount_text(k, None, 'N/m')} at {f:.3g} Hz" for f, k in pairs)
+        return f"stiffness that rises with frequency, as of rubber: {said} {RELAXES}"
 
 
-def relaxing_mount(
-    measured: Measured, mass: float | None, chi2: float
-) -> tuple[str, dict[str, FloatArray], float] | None:
-    """What a mount that relaxes is in words, k, c, f_n and zeta (2,) [SI] at resonance with their standard
-    errors, and its chi-square: where it leaves noise, or LITTLE of the *chi2* per degree of freedom of the
-    viscous fit; else None.
+@dataclass(frozen=True)
+class OtherLaw:
+    """A law of damping or stiffness that explains the residual of a viscous fit: what it is in *words*, its
+    *values* with standard errors (2,) [SI] by name, and its chi-square with two for each parameter.
     """
-    model = RelaxingMount(mass)
-    if measured.variance is None or not np.all(measured.variance > 0):
-        return None
-    try:
-        estimate = maximum_likelihood_from(measured, model, model.start(measured), "")
-    except (FitError, np.linalg.LinAlgError):
-        return None
-    values, left, chance = estimate.values, estimate.gof.chi2_reduced, estimate.gof.chi2_p
-    if not (estimate.converged and np.all(values[[0, 2, 3]] > 0)) or left is None or chance is None:
-        return None
-    if chance < MISMATCH_P and left > LITTLE * chi2:
-        return None
-    steps = np.linalg.cholesky(estimate.covariance).T
-    moved = [model.at_resonance(values + step) - model.at_resonance(values - step) for step in steps]
-    pairs = np.column_stack([model.at_resonance(values), np.linalg.norm(moved, axis=0) / 2])
-    rest, far = (amount_text(values[0] + part, None, "N/m") for part in (0.0, values[2]))
-    words = f"stiffness that rises with frequency, as of rubber: {rest} at rest, {far} far above "
-    words += f"{1 / (2 * np.pi * values[3]):.3g} Hz {RELAXES}"
-    return words, dict(zip(("k", "c", "f_n", "zeta"), pairs, strict=True)), left * estimate.dof
+
+    words: str
+    values: dict[str, FloatArray]
+    aic: float
 
 
-def hold_values(parameters: tuple[Parameter, ...], values: dict[str, FloatArray]) -> tuple[Parameter, ...]:
-    """The parameters with intervals that hold *values* of another law as well, by name (2,) [unit of the
-    parameter] with its standard error, where that alone leaves noise.
+def relaxing_mounts(measured: Measured, mass: float | None, chi2: float) -> Iterator[OtherLaw]:
+    """Mounts that relax, with their values at resonance, which leave noise, or LITTLE of the *chi2* per
+    degree of freedom of the viscous fit.
     """
-    widened = []
-    for p in parameters:
-        if p.name in values and p.ci95 is not None and p.interval is not None:
-            value, error = values[p.name].tolist()
-            low, high = min(p.ci95[0], value - NORMAL * error), max(p.ci95[1], value + NORMAL * error)
+    omega = measured.omega
+    if measured.variance is None or not np.all(measured.variance > 0) or not omega[0] > 0:
+        return
+    middle = float(np.sqrt(omega[0] * omega[-1]))
+    for model in (RelaxingMount(mass), RelaxingMount(mass, middle)):
+        with contextlib.suppress(FitError, np.linalg.LinAlgError):
+            estimate = maximum_likelihood_from(measured, model, model.start(measured), "")
+            values, left, chance = estimate.values, estimate.gof.chi2_reduced, estimate.gof.chi2_p
+            sound = values[2:] if model.reference else values[[0, 2, 3]]
+            if not (estimate.converged and np.all(sound > 0)) or left is None or chance is None:
+                continue
+            if chance < MISMATCH_P and left > LITTLE * chi2:
+                continue
+            steps = np.linalg.cholesky(estimate.covariance * max(left, 1.0)).T
+            ends = [[model.at_resonance(values + sign * s, middle) for s in steps] for sign in (1, -1)]
+            errors = np.linalg.norm(np.subtract(ends[0], ends[1]), axis=0) / 2
+            pairs = np.column_stack([model.at_resonance(values, middle), errors])
+            by_name = dict(zip(("k", "c", "f_n", "zeta", "m"), pairs, strict=True))
+            yield OtherLaw(
+                model.words(values, omega[[0, -1]]), by_name, left * estimate.dof + 2 * values.size
+            )
+
+
+def hold_values(
+    parameters: Iterable[Parameter], laws: Iterable[OtherLaw], budget: Budget | None
+) -> tuple[Parameter, ...]:
+    """The parameters with intervals that hold the values under other *laws* as well, with their errors and
+    those of the numbers in the *budget*.
+    """
+    held = {p.name: p for p in parameters}
+    stated = {} if budget is None else dict(zip(budget.names, budget.systematic, strict=True))
+    for name, (value, error) in (entry for law in laws for entry in law.values.items()):
+        p = held.get(name)
+        if p is not None and p.ci95 is not None and p.interval is not None:
+            half = NORMAL * float(np.hypot(error, stated.get(name, 0.0)))
+            low, high = min(p.ci95[0], float(value) - half), max(p.ci95[1], float(value) + half)
             held_error = (high - low) / (2 * NORMAL)
             excess = float(np.sqrt(max(held_error**2 - p.interval.noise**2, 0.0)))
             parts = replace(p.interval, discrepancy=excess)
-            p = restate(p, p.value, held_error, (low, high), interval=parts)
-        widened.append(p)
-    return tuple(widened)
+            held[name] = restate(p, p.value, held_error, (low, high), interval=parts)
+    return tuple(held.values())

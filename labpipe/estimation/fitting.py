@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
 from labpipe.errors import ConfigError, FitError, LabpipeError, SettingError
-from labpipe.estimation import causes, derived, diagnostics
+from labpipe.estimation import causes, comparison, derived, diagnostics
 from labpipe.estimation.budget import (
     Case,
     across_findings,
@@ -21,14 +23,13 @@ from labpipe.estimation.budget import (
     sources_of,
     with_contributions,
 )
-from labpipe.estimation.comparison import candidates, comparison_findings, hold_values, relaxing_mount
 from labpipe.estimation.damping import HYSTERETIC, damp
 from labpipe.estimation.draws import Budgeted, bootstrap, propagate
 from labpipe.estimation.leakage import expected_model
 from labpipe.estimation.likelihood import Assessed, assess, maximum_likelihood_from
 from labpipe.estimation.linear_models import form_view
 from labpipe.estimation.measured import Measured, measured_part, select_ports
-from labpipe.estimation.mismatch import LAW, Judgement, errors_by_lines, judge
+from labpipe.estimation.mismatch import CROSS, LAW, Judgement, errors_by_lines, judge
 from labpipe.estimation.model import DynamicModel, ReceptanceModel, Setup
 from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.output_error import OutputError
@@ -281,11 +282,11 @@ def _fit_band(
     parameters = _with_honest_intervals(parameters, judgement, estimate, model, setup)
     has_error = judgement.model_error is not None
     compared_models, of_comparison, law = _compare_variants(setup, measured, estimate, has_error)
-    other = _other_law(case, estimate, law, compared_models) if has_error else None
-    law, values, left = other or ("", {}, np.inf)
-    parameters = hold_values(parameters, values)
-    faults = _find_faults(case, judged, LIKELIER * left) if judging else {}
-    cause = next((fault for fault in faults if fault), law)
+    laws = _other_laws(case, estimate, law) if has_error else []
+    if laws:
+        parameters = comparison.hold_values(parameters, laws, budget_of(case, parameters))
+    faults = _find_faults(case, judged, laws) if judging else {}
+    cause = next((fault for fault in faults if fault), laws[0].words if laws else "")
     if cause and judgement.by_cause is not None:
         judgement = replace(judgement, findings=judgement.by_cause(cause))
         reason = cause.removeprefix("a ").partition(",")[0]
@@ -303,7 +304,7 @@ def _fit_band(
             *faults.values(),
             *_parameter_findings(budgeted.parameters, band, setup, measured, leaking=bool(leakage)),
             *budgeted.findings,
-            *comparison_findings(compared_models),
+            *comparison.comparison_findings(compared_models),
         ),
         notes=(*notes, *of_comparison),
         candidates=compared_models,
@@ -325,45 +326,48 @@ def _compare_variants(
     seeks_law = of_model and has_error and "damping" in settings.kind.keys and settings.sliding is None
     if is_viscous and not settings.compare and not seeks_law:
         return (), (), ""
-    compared, notes = candidates(measured, setup, estimate if of_model else None)
+    compared, notes = comparison.candidates(measured, setup, estimate if of_model else None)
     law_explains = bool(compared) and is_viscous and not settings.compare
     return compared, notes, HYSTERETIC.name + LAW if law_explains else ""
 
 
-def _other_law(
-    case: Case, estimate: Estimate, law: str, compared: Sequence[Candidate]
-) -> tuple[str, dict[str, FloatArray], float] | None:
-    """The *law* of damping that explains the residual, the first of those *compared*, its values by name and
-    its chi-square. Without one, the mount that relaxes with frequency, as of `relaxing_mount`, where that
-    explains what a viscous fit of k and c, of known mass or with m, leaves over the noise; else None.
+def _other_laws(case: Case, estimate: Estimate, law: str) -> list[comparison.OtherLaw]:
+    """The *law* of damping that explains the residual, cross terms that a model is without, and mounts, as of
+    `relaxing_mounts`, that explain what a viscous fit of k and c, of known mass or with m, leaves over the
+    noise; the likeliest first.
     """
-    if law:
-        return law, _values_of_law(case.setup, case.measured), compared[0].chi2
     settings, chi2 = case.setup.settings, estimate.gof.chi2_reduced
-    suits = settings.kind.one_frf and settings.damping == VISCOUS and settings.sliding is None
+    laws = [_law(case, law, damping=HYSTERETIC.name)] if law else []
+    seeks = settings.damping == VISCOUS and settings.sliding is None and not settings.fixed
+    if chi2 is None or not (seeks and settings.estimates.likelihood):
+        return laws
+    if settings.kind.richer and not settings.compare:
+        with contextlib.suppress(ConfigError, FitError):
+            crossed = _law(case, CROSS, model=settings.kind.richer)
+            if crossed.aic < comparison.LITTLE * chi2 * estimate.dof:
+                laws.append(crossed)
     is_plain = case.model.names in (("k", "c"), ("k", "c", "m")) and not derived.is_corrected(settings)
-    if chi2 is None or not (suits and is_plain) or not settings.estimates.likelihood or settings.fixed:
-        return None
-    mass = None if settings.mass == ESTIMATE else float(settings.mass)  # type: ignore[arg-type]
-    return relaxing_mount(case.measured, mass, chi2)
+    if settings.kind.one_frf and is_plain:
+        mass = None if settings.mass == ESTIMATE else float(settings.mass)  # type: ignore[arg-type]
+        laws.extend(comparison.relaxing_mounts(case.measured, mass, chi2))
+    return sorted(laws, key=lambda other: other.aic)
 
 
-def _values_of_law(setup: Setup, measured: Measured) -> dict[str, FloatArray]:
-    """Values of hysteretic damping with their standard errors (2,) by name; of c and zeta what dissipates as
-    much at the resonance.
+def _law(case: Case, words: str, **change: Any) -> comparison.OtherLaw:
+    """The fit with a *change* of its settings; of c and zeta under hysteretic damping what dissipates as much
+    at the resonance.
     """
-    hysteretic = replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name))
-    model = _model(hysteretic)
-    by_law = derived.reported_parameters(_estimate(measured, model, hysteretic.settings), model, hysteretic)
+    setup = replace(case.setup, settings=replace(case.setup.settings, **change))
+    model = _model(setup)
+    estimate = _estimate(case.measured, model, setup.settings)
+    by_law = derived.reported_parameters(estimate, model, setup)
     values = {p.name: np.array([p.value, p.std_error or 0.0]) for p in by_law}
     if {"k", "eta", "f_n"} <= values.keys():
         values["zeta"] = values["eta"] / 2
         values["c"] = values["eta"] * values["k"][0] / (2 * np.pi * values["f_n"][0])
-    return values
-
-
-# Times the chi-square of another law of damping up to which a delay is as likely.
-LIKELIER = 2.0
+    left = estimate.gof.chi2_reduced or np.inf
+    values = {name: value * [1.0, np.sqrt(max(left, 1.0))] for name, value in values.items()}
+    return comparison.OtherLaw(words, values, left * estimate.dof + 2 * estimate.values.size)
 
 
 def _with_budget(
@@ -506,11 +510,12 @@ def _contradict(
     return tuple(causes.stated_findings(uncertainties, pulls, values)), factors
 
 
-def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Finding]:
+def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw]) -> dict[str, Finding]:
     """Findings by the cause of the residual that they name: channels of a response to a force taken for
     others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
     makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty. *most_chi2*: chi-square [1] that a delay may leave.
+    phase to a force, a mass without uncertainty. A delay is not named where the first of *laws* is better
+    supported, and with it where that has support as well.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
     # What stated numbers explain needs no other cause.
@@ -522,9 +527,14 @@ def _find_faults(case: Case, judged: _Judged, most_chi2: float) -> dict[str, Fin
     is_sound = settings.estimates.phase and estimate.converged and not has_error
     if not is_sound or not isinstance(model, DynamicModel):
         return {}
-    delays = causes.delay_findings(case.measured, model, estimate.values, most_chi2) if is_rejected else {}
-    if delays:
-        return {f"a delay of {channel}": finding for channel, finding in delays.items()}
+    delay = causes.likeliest_delay(case.measured, model, estimate.values) if is_rejected else None
+    of_law = laws[0].aic - 2 * (estimate.values.size + 1) if laws else np.inf
+    if delay is not None and delay[0] < of_law + comparison.NO_SUPPORT:
+        left, channel, finding = delay
+        if left < of_law - comparison.NO_SUPPORT:
+            return {f"a delay of {channel}": finding}
+        also = f"{finding.message}; {laws[0].words} explains as much"
+        return {f"a delay of {channel} or {laws[0].words}": replace(finding, message=also)}
     masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
     return {"": masses[0]} if masses else {}
 

@@ -44,8 +44,8 @@ OUT, FEWEST_LINES, EITHER = 1e12, 10, 0.01
 OF_A_MODE = (MOVED_FREQUENCY, SECOND_MODE)
 WEIGH = "Measure several averages, or give their number and the coherence, so that lines count by their noise"
 RICHER = "Use a richer model, or narrow the band"
-# How a cause of a residual ends that is another law of damping, or of stiffness.
-LAW, RELAXES = " damping", "(relaxation)"
+# How a cause of a residual ends that is another law of damping, or of stiffness, or cross terms.
+LAW, RELAXES, CROSS = " damping", "(relaxation)", "cross terms of x and y"
 BY_BANDS = "Fit `sliding` bands, each with its own k and c"
 # Where nothing could tell whether a residual is noise.
 NOT_JUDGED = Finding(
@@ -300,7 +300,7 @@ def _state(
     judged: _Judge, best: _Minimum, error: ModelError | CoefficientError, what: str, growth: float
 ) -> Judgement:
     def findings(cause: str) -> tuple[Finding, ...]:
-        of_law = ", or wider by that law's values" if cause.endswith((LAW, RELAXES)) else ""
+        of_law = ", or wider by that law's values" if cause.endswith((LAW, RELAXES, CROSS)) else ""
         text = (
             f"{_wording(best)}; most likely {cause}. {what} include what the model leaves unexplained, "
             f"and are up to {growth:.3g} times as wide as noise alone makes them{of_law}"

@@ -260,8 +260,8 @@ class Pulls:
 @dataclass(frozen=True)
 class Stated:
     """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard
-    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated. *by_noise* [1]: what
-    noise of the residual that is in a change as well may make of their product, (n_source,) or of all.
+    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated; *by_noise* (n_source,)
+    [1], or of all: what noise that is in residual and change may make of their product.
     """
 
     changes: FloatArray
@@ -281,9 +281,7 @@ class Stated:
 def pulls_of(
     residual: FloatArray, stated: Stated, slopes: FloatArray, covariance: FloatArray, noise: float = 1.0
 ) -> Pulls:
-    """The most likely changes t of stated numbers, min over t and the parameters of |r + D^T t|^2 / s +
-    |t|^2.
-
+    """The most likely changes t of stated numbers: least |r + D^T t|^2 / s + |t|^2 over parameters and t.
     residual r (n_datum,) [1] at the minimum; slopes (n_datum, n_parameter) [1/parameter unit], covariance
     (n_parameter, n_parameter) [parameter units]; *noise* s [1]: variance of a projection by noise. Equation
     (unc-explained).
@@ -293,10 +291,10 @@ def pulls_of(
     score = stated.changes @ residual / noise + stated.at
     posterior = np.linalg.inv(np.eye(stated.at.size) + information)
     by_data = np.diag(posterior @ information)
-    share = np.where(by_data > SAYS_NOTHING, by_data, np.inf)
+    says_nothing = by_data <= SAYS_NOTHING
+    share = np.where(says_nothing, SAYS_NOTHING**2, by_data)
     likely = stated.at - posterior @ score
-    known = np.where(np.isinf(share), SAYS_NOTHING**2, share)
-    error = np.sqrt(np.maximum(np.diag(posterior), 0.0) / known)
-    error = np.hypot(error, stated.by_noise * (1 - np.minimum(known, 1.0)) / known)
+    by_noise = stated.by_noise * (1 - np.minimum(share, 1.0)) / share
+    error = np.hypot(np.sqrt(np.maximum(np.diag(posterior), 0.0) / share), by_noise)
     explained = float(noise * (score @ posterior @ score - stated.at @ stated.at))
-    return Pulls(likely, likely / share, error, explained)
+    return Pulls(likely, np.where(says_nothing, 0.0, likely / share), error, explained)

@@ -109,7 +109,7 @@ def track_order(
     if not segments:
         what = f"recording '{source.name}' is shorter than {revolutions} revolutions"
         raise DataError(what, hint="lower the number of revolutions")
-    times, speed, amplitude, variance, mean, colour, overall, orbit = (
+    times, speed, courses, variances, mean, colour, overall, orbit = (
         np.array(column) for column in zip(*segments, strict=True)
     )
     top = order * float(speed.max())
@@ -118,8 +118,7 @@ def track_order(
             f"order {order:g} of recording '{source.name}' reaches {top:.4g} Hz, beyond half its sample rate",
             hint="check speed and order",
         )
-    variance = variance * _whole_colour(colour, beside.size)
-    amplitude, variance = at_middle(times, revolutions / speed, amplitude, variance)
+    amplitude, variance = at_middle(courses, variances * _whole_colour(colour, beside.size)[:, None])
     if motion.std_error is not None:
         turned = 2 * np.pi * order * np.interp(times, motion.times, motion.std_error)
         variance = variance + np.abs(turned[:, None] * amplitude) ** 2
@@ -209,20 +208,34 @@ def _fit(
     orders = orders[(orders * step < np.pi) | (orders == order)]
     turns = np.exp(1j * angle[:, None] * orders)
     columns = np.column_stack([np.ones(time.size), turns.real, -turns.imag])
-    middle = float(time.mean())
-    if (angle[-1] - angle[0]) * orders[0] >= FEWEST_TURNS and time.size > 4 * columns.shape[1]:
-        columns = np.hstack([columns, columns * ((time - middle) / np.ptp(time))[:, None]])
-    inverse = np.linalg.pinv(columns)
-    solution = inverse @ samples[:, outputs]
-    residual = samples[:, outputs] - columns @ solution
-    row = 1 + int(np.searchsorted(orders, order))
+    n, row = columns.shape[1], 1 + int(np.searchsorted(orders, order))
     parts = [row, row + orders.size]
-    noise = np.sum(residual**2, axis=0) / max(time.size - columns.shape[1], 1)
+    middle = float(time.mean())
+    place = 2 * (time - middle)[:, None] / np.ptp(time)
+    own = columns[:, parts]
+    columns = np.hstack(
+        [columns, columns * place, *(own * place**power for power in range(2, CURVED[-1] + 1))]
+    )
+    sizes = [n, *(2 * (n + power - 1) for power in CURVED)]
+    if (angle[-1] - angle[0]) * orders[0] < FEWEST_TURNS:
+        sizes = sizes[:1]
+    sizes = [sizes[0], *(size for size in sizes[1:] if time.size > 4 * size)]
+    basis, triangle = np.linalg.qr(columns[:, : sizes[-1]])
+    shares = basis.T @ samples[:, outputs]
+    residual = samples[:, outputs] - basis @ shares
+    noise = np.sum(residual**2, axis=0) / max(time.size - sizes[-1], 1)
     speed = (angle[-1] - angle[0]) / (2 * np.pi * (time[-1] - time[0]))
-    amplitude = solution[parts[0]] + 1j * solution[parts[1]]
-    lines = np.exp(-1j * angle[:, None] * beside).T @ residual
-    colour = np.mean(np.abs(lines) ** 2, axis=0) / np.maximum(time.size * noise, 1e-300)
-    return middle, float(speed), amplitude, np.sum(inverse[parts] ** 2) * noise, solution[0], colour
+    # Without more samples a course stands for the next ones, too; in the middle a constant is a linear one.
+    sizes = (sizes[1:] or sizes)[: len(CURVED)]
+    sizes += sizes[-1:] * (len(CURVED) - len(sizes))
+    inverses = [np.linalg.pinv(triangle[:size, :size]) for size in sizes]
+    solutions = [inverse @ shares[:size] for inverse, size in zip(inverses, sizes, strict=True)]
+    courses = np.array([solution[parts[0]] + 1j * solution[parts[1]] for solution in solutions])
+    variances = np.array([np.sum(inverse[parts] ** 2) * noise for inverse in inverses])
+    turned = np.exp(-1j * angle[:, None] * beside)
+    expected = np.sum(np.abs(turned) ** 2) - np.sum(np.abs(basis.T @ turned) ** 2)
+    colour = np.sum(np.abs(turned.T @ residual) ** 2, axis=0) / np.maximum(expected * noise, 1e-300)
+    return middle, float(speed), courses, variances, solutions[0][0], colour
 
 
 # Lines to either side of an order whose power is that of its noise, from the first that its change in time
@@ -238,13 +251,13 @@ def _orders_beside(orders: FloatArray, order: float, revolutions: int) -> FloatA
     return np.asarray(beside[apart])
 
 
-def _whole_colour(colour: FloatArray, n_line: int) -> FloatArray | float:
+def _whole_colour(colour: FloatArray, n_line: int) -> FloatArray:
     """Noise at the order over that of all frequencies (n_segment, n_output) [1], from the *colour* of every
     segment by *n_line* lines; 1 where it may be white. Less it does not count: the residual holds more than
     noise then, as another harmonic.
     """
     if not n_line:
-        return 1.0
+        return np.ones_like(colour)
     window = np.ones(min(TOGETHER, len(colour)))
     count = np.convolve(np.ones(len(colour)), window, "same")
     smooth = np.stack([np.convolve(column, window, "same") / count for column in colour.T], axis=1)
@@ -252,35 +265,27 @@ def _whole_colour(colour: FloatArray, n_line: int) -> FloatArray | float:
     return np.where(np.any(smooth - 1 > COLOURED * deviation, axis=0), np.maximum(smooth, 1.0), 1.0)
 
 
-# Segments whose means tell the course of a track within one of them; standard deviations from nothing of the
-# squared bends of a track, over its segments.
-COURSE, BENT = 5, 4.0
+# Segments to either side that tell whether a track bends, by so many standard deviations from noise alone;
+# segments to either side of those where it does, too; degrees of the courses.
+NEAR, BENT, FAR, CURVED = 2, 6.0, 5, (1, 3, 5)
 
 
-def at_middle(
-    time: FloatArray, length: FloatArray, amplitude: ComplexArray, variance: FloatArray
-) -> tuple[ComplexArray, FloatArray]:
-    """The amplitude (n_segment, n_output) [any unit] in the middle *time* [s] of every segment, with its
-    variance: what a segment of some *length* [s] gives is its mean, off by about X'' length^2 / 24 where the
-    track bends. By the polynomial whose means over the five nearest segments are these; as it is where no
-    track bends by more than noise, or of fewer segments. Equation (run-bend).
+def at_middle(courses: ComplexArray, variances: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """The amplitude (n_segment, n_output) [any unit] in the middle of every segment, with its variance, from
+    *courses* (n_segment, n_degree, n_output) that bend more and more: the one of least variance, what it
+    misses of the last course included. Equation (run-bend).
     """
-    n = time.size
-    if n < COURSE:
-        return amplitude, variance
-    near = np.clip(np.arange(n) - COURSE // 2, 0, n - COURSE)[:, None] + np.arange(COURSE)
-    # Means over the segments of (t / length)^k, of t from the middle of each.
-    centre, half = (time[near] - time[:, None]) / length[:, None], length[near] / length[:, None] / 2
-    power = np.arange(COURSE)[:, None, None] + 1
-    means = ((centre + half) ** power - (centre - half) ** power) / (2 * half * power)
-    value = np.broadcast_to(np.eye(COURSE)[0], (n, COURSE))[..., None]
-    weights = np.linalg.solve(means.transpose(1, 0, 2), value)
-    bend = np.sum(weights * amplitude[near], axis=1) - amplitude
-    own = weights - (near == np.arange(n)[:, None])[..., None]
-    ratio = np.abs(bend) ** 2 / np.maximum(np.sum(own**2 * variance[near], axis=1), 1e-300)
-    if np.all(np.mean(ratio, axis=0) - 1 < BENT / np.sqrt(n)):
-        return amplitude, variance
-    return amplitude + bend, np.sum(weights**2 * variance[near], axis=1)
+    more = variances[:, -1:] - variances
+    missed = np.abs(courses - courses[:, -1:]) ** 2 - more
+    number = np.arange(len(missed))
+    size = min(2 * NEAR + 1, len(missed))
+    near = np.clip(number - NEAR, 0, len(missed) - size)[:, None] + np.arange(size)
+    missed = np.mean(missed[near], axis=1)
+    bent = missed > BENT / np.sqrt(size) * more
+    bent = np.stack([np.any(bent[max(at - FAR, 0) : at + FAR + 1], axis=0) for at in number])
+    whole = variances + np.where(bent, np.maximum(missed, 0.0), 0.0)
+    best = np.argmin(whole, axis=1)[:, None]
+    return np.take_along_axis(courses, best, 1)[:, 0], np.take_along_axis(whole, best, 1)[:, 0]
 
 
 MOST_BLOCKS = 40

@@ -175,7 +175,9 @@ LEAST_LEFT, LEAST_FITTED = 0.5, 1e-4
 ACTING = 1e-3
 # Instants of tacho pulses are uncertain by this much [samples] where they are steps between two samples.
 PULSE_ERROR = 0.35
-MOST_DEGREES = 8
+# Polynomials that follow the pulses, those beyond that tell the noise of smooth courses; lowest speed over
+# the mean one that a weight is made of; variance over that of white noise; steps of the course to a pulse.
+MOST_DEGREES, FOLLOWING, SLOWEST, WHITE, BETWEEN = 24, 24, 0.1, 1.2, 8
 # Gain in the logarithm of the likelihood that noise alone does not give a speed.
 BETTER = 30.0
 
@@ -233,20 +235,36 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
 
 
 def smooth_motion(motion: ShaftMotion, sample_rate: float) -> ShaftMotion:
-    """The shaft's motion without the scatter of pulse instants: the polynomial of lowest degree that follows
-    the counts within it.
+    """The shaft's motion without the scatter of pulse instants: the polynomial that follows them, where they
+    scatter about it by less than a sample, or as white noise does. Its standard error is by the power that
+    the next FOLLOWING polynomials find in what it leaves, and its degree the one where that is least.
     """
     times, counts = motion.times, motion.revolutions
-    allowed = PULSE_ERROR / sample_rate * float(np.mean(motion.speeds))
-    for degree in range(1, min(MOST_DEGREES, times.size - 2) + 1):
-        course = np.polynomial.Chebyshev.fit(times, counts, degree)
-        scatter = np.sqrt(np.mean((course(times) - counts) ** 2))
-        if scatter <= allowed:
-            place = np.polynomial.polyutils.mapdomain(times, course.domain, course.window)
-            basis = np.linalg.qr(np.polynomial.chebyshev.chebvander(place, degree))[0]
-            error = scatter * np.linalg.norm(basis, axis=1)
-            return replace(motion, revolutions=course(times), std_error=error)
-    return motion
+    following = min(FOLLOWING, times.size // 3)
+    most = min(MOST_DEGREES, times.size - 2 - following)
+    if most < 1:
+        return motion
+    # Instants are uncertain alike, counts by that times the speed.
+    speed = np.polynomial.Chebyshev.fit(times, counts, min(most, 8)).deriv()(times)
+    speed = np.maximum(speed, SLOWEST * float(np.mean(motion.speeds)))
+    basis, triangle = np.linalg.qr(_chebyshev(times, times, most + following) / speed[:, None])
+    shares = basis.T @ (counts / speed)
+    power = [np.mean(shares[degree + 1 : degree + 1 + following] ** 2) for degree in range(most + 1)]
+    n = 1 + min(range(1, most + 1), key=lambda degree: (degree + 1) * power[degree])
+    left = counts / speed - basis[:, :n] @ shares[:n]
+    # Second differences of white noise have six times its variance.
+    white = WHITE * np.mean(np.diff(left, 2) ** 2) / 6
+    if np.sum(left**2) / (times.size - n) > max((PULSE_ERROR / sample_rate) ** 2, white):
+        return motion
+    fine = np.interp(np.arange(0, times.size - 1 + 1 / BETWEEN, 1 / BETWEEN), np.arange(times.size), times)
+    course = np.linalg.solve(triangle[:n, :n].T, _chebyshev(fine, times, n - 1).T)
+    error = np.sqrt(power[n - 1]) * np.linalg.norm(course, axis=0)
+    return replace(motion, times=fine, revolutions=shares[:n] @ course, std_error=error)
+
+
+def _chebyshev(time: FloatArray, times: FloatArray, degree: int) -> FloatArray:
+    place = np.polynomial.polyutils.mapdomain(time, times[[0, -1]], [-1.0, 1.0])
+    return np.asarray(np.polynomial.chebyshev.chebvander(place, degree))
 
 
 @dataclass(frozen=True)

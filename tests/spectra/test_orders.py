@@ -189,3 +189,23 @@ def test_a_track_that_bends_within_its_segments_is_that_of_their_middles() -> No
         errors = (track.amplitude[:, 0] - exact(track.speed)) / np.sqrt(track.variance[:, 0])
         off.append(errors[np.abs(track.speed - 30) < 3])
     assert np.sqrt(np.mean(np.abs(np.concatenate(off)) ** 2)) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.5])
+def test_a_peak_within_a_few_segments_is_as_right_as_stated(rate: float) -> None:
+    """X = 1 / (1 + j u), closed form, whose half-power width takes four and three segments of twenty
+    turns. The tacho is a smooth wave.
+    """
+    time = np.arange(0, 40 / rate, 1 / RATE)
+    revolutions = 20 * time + rate * time**2 / 2
+    off, stated = [], []
+    for seed in range(4):
+        noise = 1e-4 * np.random.default_rng(seed).normal(size=time.size)
+        x = np.real(np.exp(2j * np.pi * revolutions) / (1 + 1j * (rate * time - 20))) + noise
+        samples = np.column_stack([x, np.sin(2 * np.pi * revolutions)])
+        track = track_order(Recording((X, TACHO), samples, RATE, "run"), ShaftLines(tacho="tacho"))
+        errors = track.amplitude[:, 0] - 1 / (1 + 1j * (rate * track.time - 20))
+        off.append(errors / np.sqrt(track.variance[:, 0]))
+        stated.append(np.sqrt(track.variance[:, 0]))
+    assert np.sqrt(np.mean(np.abs(np.concatenate(off)) ** 2)) == pytest.approx(1.0, abs=0.3)
+    assert np.median(stated[0]) < 2 * 2e-4 / np.sqrt(RATE * 20 / 40)

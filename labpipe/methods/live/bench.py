@@ -53,6 +53,7 @@ class FollowedFit:
         self, settings: FitSettings, layout: Layout, cutter: cutters.Cutter, lines: IntArray, block: float
     ) -> None:
         self.settings = settings
+        self.per_hit = block > 0 and settings.repeats == "each" and len(layout.inputs) == 1
         self.setup, rows, columns = _setup(settings, layout)
         model = damp(settings.kind.model(self.setup), settings)
         assert isinstance(model, DynamicModel)
@@ -75,8 +76,10 @@ class FollowedFit:
         self.fit = running_fit.RunningFit(equation)
         size, shapes = np.abs(self._sensors[:, -1:]), cutter.window_shapes(lines[self._lines])
         shapes = None if shapes is None else shapes * size / self._sensors[:, -1:]
+        self.per_hit &= shapes is None
         at = running_fit.ForceLines(lines[self._lines], 1 / size[:, 0] ** 2, shapes)
         self.sums, self._block = running_fit.Directions(block > 0, at), block
+        self._hits: list[ComplexArray] = []
         self.charts = charts.Charts(self.fit)
         self.model = model
         self.estimate: running_fit.RunningEstimate | None = None
@@ -128,6 +131,7 @@ class FollowedFit:
     def _count(self, z: ComplexArray, direction: int, noise: FloatArray | None, sign: int = 1) -> None:
         sums = self.sums.of(direction)
         sums.add(z, sign)
+        self._hits = [*self._hits, z] if sign > 0 else [hit for hit in self._hits if hit is not z]
         if noise is not None and isinstance(sums, running_fit.HitSums):
             sums.add_noise(noise, sign)
 
@@ -163,6 +167,7 @@ class FollowedFit:
                 math.hypot(lasts[parameter.name], rest := rings.get(parameter.name, 0.0)),
                 parameter.value - now[parameter.name] if parts.discrepancy else 0.0,
                 RINGS_ON if rest > lasts[parameter.name] else parameter.reason,
+                charts.scatter_of_repeats(parameter),
             )
             for parameter in (fits[0].parameters if fits else ())
             if (parts := parameter.interval) is not None and parameter.name in now
@@ -199,6 +204,7 @@ class FollowedFit:
             covariance=covariance_of_periodic(matrix, inverse, noise),
             averages=float(least),
             covariance_dof=float((least - 1) * (2 * running_fit.HALF_WIDTH + 1)),
+            **charts.hits_as_repeats(self._hits if self.per_hit else (), n_output),
             errors=tuple(
                 MatrixError(Uncertainty(f"noise of the force in its window {n}", 1.0, "1"), change, True)
                 for n, change in enumerate(changes @ inverse, 1)

@@ -351,16 +351,18 @@ class Goal:
 @dataclass(frozen=True)
 class CommonPart:
     """What more averages do not take from the interval of a coefficient: its *half*-width by model error and
-    stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*.
+    stated numbers, the *shift* [parameter unit] of the value by the former, the *reason*; *scatter*: that by
+    what hits scatter beyond their noise, which falls with every hit.
     """
 
     half: float
     shift: float
     reason: str
+    scatter: float = 0.0
 
     def whole(self, value: float, half: float) -> tuple[float, float]:
         """The value and half-width with these, by those of noise [parameter unit]."""
-        return value + self.shift, math.hypot(half, self.half)
+        return value + self.shift, math.hypot(half, self.half, self.scatter)
 
 
 def lasting(fit: Fit, errors: Iterable[MatrixError]) -> dict[str, float]:
@@ -377,6 +379,26 @@ def lasting(fit: Fit, errors: Iterable[MatrixError]) -> dict[str, float]:
         for p in fit.parameters
         if (parts := p.interval) is not None
     }
+
+
+def hits_as_repeats(hits: Sequence[ComplexArray], n_output: int) -> dict[str, Any]:
+    """Every hit (n_line, 1, n_channel) [channels' units] as a repeat of an FRF; nothing of none."""
+    h = [(z[..., :n_output] / z[..., n_output:]).swapaxes(1, 2) for z in hits]
+    names = tuple(f"hit {number}" for number in range(1, len(h) + 1))
+    return {"repeats": np.array(h), "repeat_names": names, "repeats_are": "hits"} if h else {}
+
+
+# Chance below which hits scatter beyond their noise.
+SCATTER_P = 1e-3
+
+
+def scatter_of_repeats(parameter: Parameter) -> float:
+    """The half-width [parameter unit] by the scatter of repeats, as of a run; 0 where noise may be all."""
+    of, parts = parameter.repeats, parameter.interval
+    if not (of and parts and parts.noise > 0):
+        return 0.0
+    squares = float(np.var(of.values)) * len(of.values) / (of.used * parts.noise**2)
+    return NORMAL * parts.repeats if chi2_tail(squares, len(of.values) - 1) < SCATTER_P else 0.0
 
 
 @dataclass(frozen=True)

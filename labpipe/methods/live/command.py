@@ -254,7 +254,8 @@ def _without_scatter(session: Session) -> list[str]:
 def _echo_left_out(session: Session) -> None:
     if fits := _without_scatter(session):
         what = "labpipe run takes each hit for a repeat and adds their scatter beyond noise to its intervals"
-        echo(f"{', '.join(fits)}: {what}, which these leave out; repeats: pool leaves it out there as well")
+        where = "which these hold where noise cannot be all of it (p < .001, no force window)"
+        echo(f"{', '.join(fits)}: {what}, {where}; repeats: pool leaves it out there as well")
 
 
 def _play(rig_path: Path, run_name: str, seed: int, speed: float, rig: Rig) -> Any:

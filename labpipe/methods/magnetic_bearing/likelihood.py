@@ -242,7 +242,7 @@ class LateLikelihood(MagnetLikelihood):
 
 def late_findings(rotor: LevitationBalance, best: MagnetEstimate) -> list[Finding]:
     """A finding where one channel, or all readings, recorded later or earlier explain a residual that is far
-    from noise. Each delay is fitted beside all parameters, from the best of a grid; as `delay_findings`.
+    from noise. Each delay is fitted beside all parameters, from the best of a grid; as `likeliest_delay`.
     """
     if best.p_value >= MISMATCH_P:
         return []
