@@ -260,8 +260,8 @@ class Pulls:
 @dataclass(frozen=True)
 class Stated:
     """Stated numbers as a residual sees them: *changes* (n_source, n_datum) [1] of it by one standard
-    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated; *by_noise* (n_source,)
-    [1], or of all: what noise that is in residual and change may make of their product.
+    uncertainty of each, *at* (n_source,) [standard uncertainties] from what was stated; *by_noise* [1]
+    (n_source,), or of all: what noise that is in residual and change may make of their product.
     """
 
     changes: FloatArray
