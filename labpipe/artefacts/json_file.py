@@ -78,7 +78,7 @@ def record_of(entry: Any, kind: Any) -> Any:
     if kind is Any:
         return entry
     if origin in (types.UnionType, Union):
-        return None if entry is None else record_of(entry, _kind_of_value(kind, entry))
+        return None if entry is None else record_of(entry, _kind_of_value(kind, isinstance(entry, str)))
     if origin is tuple:
         return _tuple(entry, get_args(kind))
     if origin in (dict, Mapping):
@@ -94,12 +94,13 @@ def record_of(entry: Any, kind: Any) -> Any:
     return _scalar(entry, kind)
 
 
-def _kind_of_value(kind: Any, entry: Any) -> Any:
+@functools.cache
+def _kind_of_value(kind: Any, is_text: bool) -> Any:
     """The type of a value that may be missing: of several text for a text, where that may be, else the
     first.
     """
     kinds = [part for part in get_args(kind) if part is not types.NoneType]
-    return str if isinstance(entry, str) and str in kinds else kinds[0]
+    return str if is_text and str in kinds else kinds[0]
 
 
 def named_entries(record: Any, *names: str) -> dict[str, Any]:

@@ -27,12 +27,10 @@ MAD_SCALE = 1.4826
 MOST_OUTSIDE = 0.25
 # Rounds of reweighting towards the least absolute deviations.
 ROUNDS = 50
-# Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured structures:
-# 0.05-0.45).
+# Scale of the half-Cauchy prior of tau: of ln f in units of zeta, and of ln zeta (measured: 0.05-0.45).
 PRIOR_SCALE = 0.3
-# Edges in u of the points on which tau is integrated: equal steps, and where these are too coarse for repeats
-# that scatter by far less than the prior's scale others that lie close towards 0; the change of an interval
-# [1] from which on they are.
+# Edges in u of the points on which tau is integrated: equal steps, or close ones towards 0 for repeats that
+# scatter by far less than the prior's scale; the change of an interval [1] from which on these are needed.
 TAU_EDGES = np.linspace(0.0, 1.0, 81)
 CLOSE_EDGES = np.concatenate([[0.0], np.geomspace(1e-6, 0.1, 240), np.linspace(0.1, 1.0, 145)[1:]])
 COARSE = 2e-3
@@ -164,12 +162,11 @@ def repeat_mean(
     solution = mixture.shares @ mixture.solutions
     stretch, _ = order_in_time(values - columns @ solution)
     spread = float(mixture.taus[np.searchsorted(np.cumsum(mixture.shares), 0.5)])
-    longer = 1.0
+    half_width = mixture.half_width
     if stretch > 1.0:
         # sqrt(k) and the quantile of fewer repeats where neighbours are alike.
         limit = student_limit(max(1.0, n / stretch - 1))
-        longer = float(np.sqrt(stretch) * limit / student_limit(n - n_column))
-    half_width = mixture.half_width * longer
+        half_width *= float(np.sqrt(stretch) * limit / student_limit(n - n_column))
     mean_weights = mixture.shares @ mixture.weights
     return RepeatMean(float(solution[0]), half_width, spread, mean_weights, solution[1:], stretch > 1.0)
 
