@@ -40,7 +40,6 @@ from labpipe.methods.modal.moved import (
     add_moved_modes,
     align_measured,
     alignment,
-    loaded_findings,
     moved_references,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
@@ -303,16 +302,12 @@ def _move_to_mean_poles(
 ) -> tuple[_Sides, lscf.Completed, Moved, tuple[Finding, ...]]:
     if modal.poles:
         return sides, whole, (), ()
-    apart: tuple[MovedReferences, ...] = ()
-    if (aligned := moved_references(whole)) is not None:
-        apart, whole = aligned[:1], aligned[1]
-    moving = modal.moving_mass is not None
-    whole, modes, findings = add_moved_modes(whole, moving=moving)
-    moved: Moved = (*apart, *modes)
     names = [port.label for port in sides.measured.inputs]
-    findings = (*(each.finding(names) for each in apart), *findings)
+    whole, apart, said = moved_references(whole, names, lambda lines: _first_modes(lines, modal)[1])
+    whole, modes, findings = add_moved_modes(whole, moving=modal.moving_mass is not None)
+    moved: Moved = (*apart, *modes)
     measured = align_measured(sides.measured, moved)
-    return replace(sides, lines=whole.terms.lines, measured=measured), whole, moved, findings
+    return replace(sides, lines=whole.terms.lines, measured=measured), whole, moved, (*said, *findings)
 
 
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
@@ -494,7 +489,7 @@ def _report(
             moving=moving,
             driving=model_error.strongest_points(refined, sides.driving_points),
         )
-    loaded = loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
+    loaded = model_error.loaded_findings(refined.poles.size, errors) if moving and refined.converged else ()
     # Points that differ are not a fault of the modes.
     named = errors if misfit or not shown else {}
     if judged and (misfit or errors):
@@ -502,7 +497,7 @@ def _report(
             parameters, errors, estimate, measured.omega / (2 * np.pi), instead
         )
     for references in apart:
-        parameters = tuple(references.held_by(parameter) for parameter in parameters)
+        parameters = references.hold(parameters)
     n_parameter = measured.n_equation - estimate.dof
     r2, adjusted = determination(measured.matrix, measured.matrix - estimate.fitted, n_parameter)
     return Fit(

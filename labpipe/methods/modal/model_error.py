@@ -16,9 +16,9 @@ from labpipe.estimation.mode_model import Curve, Fitted, ModeModel
 from labpipe.estimation.model_error import ModelError, StatedRow, thin
 from labpipe.estimation.statistics import correlation, derive, widen
 from labpipe.methods.modal.likelihood import Refined, ResidualTerms, leaking_functions, pseudo_inverse
-from labpipe.methods.modal.moved import MovedMode, mean_of_points, unloaded_values
+from labpipe.methods.modal.moved import FEWEST_POINTS, MovedMode, mean_of_points, unloaded_values
 from labpipe.methods.modal.whole_covariance import ModalEstimate
-from labpipe.records.finding import Parameter
+from labpipe.records.finding import Finding, Parameter
 from labpipe.records.fit_details import Modes, StabilisationDiagram
 from labpipe.records.response import Port
 
@@ -559,3 +559,15 @@ def _rows(
             offset = float(at_base - row @ kept)
             rows[f"{letter}_{number}"] = StatedRow(row, offset, alone=at_driving_point[1] if alone else None)
     return rows
+
+
+def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
+    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
+    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
+    if not loaded:
+        return ()
+    message = (
+        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
+        "fewer show the mode by itself. Measure more points where it moves"
+    )
+    return (Finding("moved-mode", message),)

@@ -6,21 +6,21 @@ The points are taken to the mean pole of each mode, each through its own fit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, modal_assurance
 from labpipe.distributions import chi2_tail, student_quantile
+from labpipe.errors import FitError
 from labpipe.estimation.diagnostics import MISMATCH_P
 from labpipe.estimation.leakage import Leakage
 from labpipe.estimation.measured import Measured
-from labpipe.estimation.model_error import ModelError
 from labpipe.estimation.repeats import PRIOR_SCALE, repeat_mean
-from labpipe.methods.modal.likelihood import Refined, leaking_functions, pole_functions, remaining
-from labpipe.methods.modal.poles import Completed, complete, criterion, kept_modes, refine_with_terms
+from labpipe.methods.modal.likelihood import FrfLines, Refined, leaking_functions, pole_functions, remaining
+from labpipe.methods.modal.poles import Completed, Poles, complete, criterion, kept_modes, refine_with_terms
 from labpipe.records.finding import NORMAL, Finding, IntervalParts, Parameter, note
 
 # Half-power widths between neighbouring poles, and in all, up to which they may be one mode.
@@ -37,9 +37,14 @@ HARDLY, SHOWS = 0.1, 0.3
 AS_NOISE = 1.3
 # Largest |ln| of the damping of a pole over that it starts with, far beyond any that is kept.
 MOST_MOVED = 8.0
+# Largest |ln| between the frequencies of a mode at two references.
+MOST_APART = 0.05
+# Modes of one shape that act on references in ways of their own: a pair may do so at few points.
+LEAST_ALIKE = 4
 # Points disagree on a mode below this chance.
 DISAGREE = 1e-3
 APART = "the references disagree in frequency"
+REMEDY = "Measure all references in one state, or name one of them under `input` or `output`"
 PAIR = "a pair, or one mode that moves from point to point: one reference cannot tell"
 
 
@@ -146,12 +151,13 @@ def _hold(parameter: Parameter, low: float, high: float, reason: str) -> Paramet
 
 @dataclass(frozen=True)
 class MovedReferences:
-    """References at which all frequencies are e^shift times those of their mean, *shifts* (n_reference,) [1],
-    with *poles* (n_reference, n_mode) [rad/s] and *residues* (n_reference, n_point, n_mode) [unit of the FRF
-    times rad/s] of their own.
+    """References at which a mode has the frequency e^shift times that of their mean: *shifts*, their standard
+    *errors* [1] and *poles* [rad/s] (n_reference, n_mode), *residues* (n_reference, n_point, n_mode) [unit of
+    the FRF times rad/s], 0 of modes that a reference does not show.
     """
 
     shifts: FloatArray
+    errors: FloatArray
     poles: ComplexArray
     residues: ComplexArray
     hysteretic: bool
@@ -168,23 +174,40 @@ class MovedReferences:
             changes.append(a @ residues.T + b @ residues.T.conj())
         return np.stack(changes, axis=-1)
 
-    def held_by(self, parameter: Parameter) -> Parameter:
-        """A frequency, or a stiffness ~ f^2, whose interval holds those of all references."""
-        power = {"f_n": 1, "k": 2}.get(parameter.name.rpartition("_")[0], 0)
-        if parameter.ci95 is None or not power:
-            return parameter
-        low, high = (np.exp(power * end) for end in (np.min(self.shifts), np.max(self.shifts)))
-        return _hold(parameter, float(parameter.ci95[0] * low), float(parameter.ci95[1] * high), APART)
+    @property
+    def is_common(self) -> bool:
+        """Whether all modes of a reference have one shift."""
+        return bool(np.all(self.shifts == self.shifts[:, :1]))
+
+    def hold(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+        """Frequencies, and stiffnesses ~ f^2, whose intervals hold those of all references."""
+        natural, held = np.abs(self.poles[0]) * np.exp(-self.shifts[0]) / (2 * np.pi), []
+        values = {parameter.name: parameter.value for parameter in parameters}
+        for parameter in parameters:
+            name, _, number = parameter.name.rpartition("_")
+            power, value = {"f_n": 1, "k": 2}.get(name, 0), parameter.value
+            if parameter.ci95 is not None and power:
+                mode = np.argmin(np.abs(natural - values[f"f_n_{number}"]))
+                ends = value * np.exp(power * self.shifts[:, mode])
+                errors = NORMAL * value * power * self.errors[:, mode]
+                low, high = (np.hypot(end - value, errors) for end in parameter.ci95)
+                parameter = _hold(parameter, float(np.min(ends - low)), float(np.max(ends + high)), APART)
+            held.append(parameter)
+        return tuple(held)
 
     def finding(self, names: Sequence[str]) -> Finding:
         """A warning by how much the references, called *names*, disagree."""
-        lowest, highest = int(np.argmin(self.shifts)), int(np.argmax(self.shifts))
+        worst = int(np.argmax(np.ptp(self.shifts, axis=0)))
+        shifts = self.shifts[:, worst]
+        lowest, highest = names[int(np.argmin(shifts))], names[int(np.argmax(shifts))]
+        share, f_n = 100 * np.expm1(np.ptp(shifts)), np.abs(self.poles[0, worst]) / (2 * np.pi)
+        where = f"{share:.2g} %: all modes of {lowest} lie below those of {highest}"
+        if not self.is_common:
+            where = f"up to {share:.2g} %: the mode at {f_n:.4g} Hz of {lowest} lies below that of {highest}"
         message = (
-            f"the references disagree in frequency by {100 * np.expm1(np.ptp(self.shifts)):.2g} %: all modes "
-            f"of {names[lowest]} lie below those of {names[highest]}. The structure changed between their "
-            "recordings (temperature, sensors that were moved, supports). Each mode is fitted once, at the "
-            "mean, and intervals of f_n and k hold all references. Measure them in one state, or name one of "
-            "them under `input` or `output`"
+            f"the references disagree in frequency by {where}. The structure changed between their "
+            "recordings (temperature, supports, a shaker or sensors that load it). Each mode is fitted once, "
+            f"at the mean, and intervals of f_n and k hold all references. {REMEDY}"
         )
         return Finding("moved-mode", message)
 
@@ -193,68 +216,125 @@ class MovedReferences:
 Moved = tuple[MovedMode | MovedReferences, ...]
 
 
-def moved_references(done: Completed) -> tuple[MovedReferences, Completed] | None:
-    """How references differ in frequency where they do so alike in all modes, and the modes of the FRFs at
-    their mean; None where a residual of single poles is noise, or the references do not differ.
+def moved_references(
+    done: Completed, names: Sequence[str], find_modes: Callable[[FrfLines], Poles]
+) -> tuple[Completed, tuple[MovedReferences, ...], tuple[Finding, ...]]:
+    """The modes of the FRFs at the mean frequencies of their references, called *names*, how these differ,
+    and a warning; as they are where a residual of modes that differ in shape is noise.
 
-    Every reference is fitted by itself; ln f_n over the mean of the references, weighted over the modes by
-    its noise, differs from 0 by Student's t of the scatter between modes. Equation (modal-references).
+    Every reference is fitted by itself, from the modes that *find_modes* finds; those of one shape are one
+    mode. ln f_n over the mean of the references, weighted over the modes by its noise, differs from 0 by
+    Student's t of the scatter between modes, or that of single modes beyond noise. Equation
+    (modal-references).
     """
-    refined, lines = done.refined, done.terms.lines
-    n_reference = lines.matrix.shape[2]
-    chains = _chains(refined)
-    if n_reference < 2 or len(chains) < FEWEST_POINTS:
-        return None
-    if done.p_noise >= MISMATCH_P and len(chains) == refined.poles.size:
-        return None
-    start = np.array([np.mean(refined.poles[chain]) for chain in chains])
-    single = [replace(lines, matrix=lines.matrix[:, :, [n]]) for n in range(n_reference)]
-    ones = np.ones((start.size, 1), np.complex128)
-    alone = [refine_with_terms(frfs, start, ones)[0] for frfs in single]
-    poles = np.array([fit.poles for fit in alone])
-    if np.any(poles.real >= 0):
-        return None
+    refined, lines, at_means = done.refined, done.terms.lines, []
+    if len(names) < 2 or (done.p_noise >= MISMATCH_P and not _alike(refined)):
+        return done, (), ()
+    for apart in _references_apart(lines, find_modes):
+        change = apart.align(lines.omega, lines.leakage) * (lines.s**lines.power)[:, None, None]
+        at_mean = replace(lines, matrix=lines.matrix + change)
+        participation = np.linalg.svd(apart.residues.transpose(2, 1, 0), full_matrices=False)[2][:, 0]
+        start = np.exp(np.mean(np.log(apart.poles) - apart.shifts, axis=0))
+        again, terms, _ = kept_modes(*refine_with_terms(at_mean, start, participation))
+        aligned = complete(again, terms, adding=True)
+        # A pair is no single pole at any reference.
+        worse = criterion(aligned.refined, aligned.terms) > criterion(refined, done.terms)
+        # Factors of their own follow any misfit, of points that move as well.
+        sound = apart.is_common or aligned.p_noise >= MISMATCH_P
+        if sound and not worse and not _alike(aligned.refined):
+            at_means.append((aligned, apart))
+    if at_means:
+        aligned, apart = max(at_means, key=lambda at_mean: at_mean[0].p_noise >= MISMATCH_P)
+        return aligned, (apart,), (apart.finding(names),)
+    alike = np.sort(np.abs(refined.poles[_alike(refined)])) / (2 * np.pi)
+    message = (
+        f"the modes at {', '.join(f'{f_n:.5g}' for f_n in alike)} Hz are fewer: several have one shape, yet "
+        "act on the references in ways of their own, as where the structure changed between the recordings "
+        f"of these. {REMEDY}"
+    )
+    return done, (), (Finding("moved-mode", message),) if alike.size >= LEAST_ALIKE else ()
+
+
+def _alike(refined: Refined) -> list[int]:
+    """Numbers of modes near one of the same shape that acts on the references in another way."""
+    other = modal_assurance(refined.participation, refined.participation) < LIKE
+    near = _distances(refined.poles, refined.shapes, refined.poles, refined.shapes) < MOST_APART
+    return np.flatnonzero(np.any(other & near, axis=1)).tolist()
+
+
+def _distances(
+    poles: ComplexArray, shapes: ComplexArray, others: ComplexArray, their_shapes: ComplexArray
+) -> FloatArray:
+    """|ln| between the frequencies of modes (n_mode, n_other) [1] of one shape, 1 of others."""
+    apart = np.abs(np.log(np.abs(poles[:, None] / others)))
+    return np.where(modal_assurance(shapes.T, their_shapes.T) > LIKE, np.minimum(apart, 1.0), 1.0)
+
+
+def _references_apart(lines: FrfLines, find_modes: Callable[[FrfLines], Poles]) -> list[MovedReferences]:
+    """By one factor for all modes, and by one for each, where either is beyond chance."""
+    alone = []
+    for reference in range(lines.matrix.shape[2]):
+        frfs = replace(lines, matrix=lines.matrix[:, :, [reference]])
+        try:
+            start = find_modes(frfs)
+            modes, terms, _ = kept_modes(*refine_with_terms(frfs, start.values, start.participation))
+        except FitError:
+            return []
+        alone.append(complete(modes, terms, adding=True).refined)
+    known, shapes = alone[0].poles[:0], alone[0].shapes[:, :0]
+    table = len(alone), sum(fit.poles.size for fit in alone)
+    poles, weights = np.zeros(table, np.complex128), np.zeros(table)
+    residues = np.zeros((table[0], len(shapes), table[1]), np.complex128)
+    for reference, fit in enumerate(alone):
+        apart = _distances(fit.poles, fit.shapes, known, shapes)
+        rows, columns = scipy.optimize.linear_sum_assignment(apart)
+        number, same = np.full(fit.poles.size, -1), apart[rows, columns] < MOST_APART
+        number[rows[same]] = columns[same]
+        new = number < 0
+        number[new] = known.size + np.arange(np.count_nonzero(new))
+        known, shapes = np.append(known, fit.poles[new]), np.hstack([shapes, fit.shapes[:, new]])
+        by_noise = lines.shared * np.diag(fit.covariance)[1 : 2 * fit.poles.size : 2]
+        poles[reference, number], weights[reference, number] = fit.poles, np.abs(fit.poles) ** 2 / by_noise
+        residues[reference][:, number] = fit.shapes * fit.participation.T
+    poles, weights, residues = poles[:, : known.size], weights[:, : known.size], residues[..., : known.size]
+    n_shown, total = np.count_nonzero(poles, axis=0), np.sum(weights, axis=0)
+    poles = np.where(poles == 0, np.sum(poles, axis=0) / n_shown, poles)
     logs = np.log(np.abs(poles))
-    variance = lines.shared * np.array([np.diag(fit.covariance)[1 : 2 * start.size : 2] for fit in alone])
+    each = np.where(weights > 0, logs - np.sum(weights * logs, axis=0) / total, 0.0)
+    found = [] if (common := _common_shifts(logs, weights)) is None else [common]
+    if chi2_tail(float(np.sum(weights * each**2)), int(np.sum(n_shown - 1))) < DISAGREE:
+        found.append((each, np.sqrt((1 - weights / total) / np.where(weights > 0, weights, np.inf))))
+    return [MovedReferences(*of, poles, residues, lines.hysteretic) for of in found]
+
+
+def _common_shifts(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Shifts and their standard errors, alike in all modes; None where they are chance."""
     # A mode counts as its worst reference tells it.
-    weights = np.min(np.abs(poles) ** 2 / variance, axis=0)
-    away = logs - np.mean(logs, axis=0)
-    shifts = np.average(away, axis=1, weights=weights)
-    scatter = np.sqrt(np.average((away - shifts[:, None]) ** 2, axis=1, weights=weights) / (start.size - 1))
-    error = np.maximum(scatter, 1 / np.sqrt(np.sum(weights)))
-    if np.max(np.abs(shifts) / error) < student_quantile(1 - DISAGREE / 2, start.size - 1):
+    weight, away = np.min(weights, axis=0), logs - np.mean(logs, axis=0)
+    if (n_mode := int(np.count_nonzero(weight))) < FEWEST_POINTS:
         return None
-    residues = np.array([fit.shapes * fit.participation.T for fit in alone])
-    apart = MovedReferences(shifts, poles, residues, lines.hysteretic)
-    change = apart.align(lines.omega, lines.leakage) * (lines.s**lines.power)[:, None, None]
-    lines = replace(lines, matrix=lines.matrix + change)
-    participation = np.linalg.svd(residues.transpose(2, 1, 0), full_matrices=False)[2][:, 0]
-    again, terms = refine_with_terms(lines, np.exp(np.mean(np.log(poles), axis=0)), participation)
-    again, terms, _ = kept_modes(again, terms)
-    aligned = complete(again, terms, adding=True)
-    # A pair is no single pole at any reference.
-    if criterion(aligned.refined, aligned.terms) > criterion(refined, done.terms):
+    shifts = np.average(away, axis=1, weights=weight)[:, None]
+    scatter = np.average((away - shifts) ** 2, axis=1, weights=weight)[:, None] / (n_mode - 1)
+    error = np.sqrt(np.maximum(scatter, 1 / np.sum(weight)))
+    if np.max(np.abs(shifts) / error) < student_quantile(1 - DISAGREE / 2, n_mode - 1):
         return None
-    return apart, aligned
+    return shifts + 0 * logs, error + 0 * logs
 
 
 def alignment(omega: FloatArray, leakage: Leakage | None, moved: Moved) -> ComplexArray | float:
     """What takes all points and references to the mean poles of *moved* modes, (n_line, n_point, n_reference)
     [unit of the FRF], at *omega* (n_line,) [rad/s] with the *leakage* of random data; 0 without any.
     """
-    changes: list[ComplexArray] = []
-    for mode in moved:
-        if isinstance(mode, MovedReferences):
-            changes.append(mode.align(omega, leakage))
-        elif not mode.instead:
-            changes.append(mode.align(1j * omega))
+    changes = [
+        mode.align(omega, leakage) if isinstance(mode, MovedReferences) else mode.align(1j * omega)
+        for mode in moved
+        if isinstance(mode, MovedReferences) or not mode.instead
+    ]
     return sum(changes, start=0.0)
 
 
 def align_measured(measured: Measured, moved: Moved) -> Measured:
     """The FRFs with every point and reference at the mean poles of the *moved* modes."""
-    if not moved:
-        return measured
     return replace(measured, matrix=measured.matrix + alignment(measured.omega, measured.leakage, moved))
 
 
@@ -273,7 +353,7 @@ def add_moved_modes(
     refined, lines = done.refined, done.terms.lines
     if lines.hysteretic or lines.matrix.shape[1] < FEWEST_POINTS or np.any(refined.poles.real >= 0):
         return done, (), ()
-    judged = [pair for chain in _chains(refined) for pair in _move(done, chain)]
+    judged = [pair for chain in _chains(refined) for pair in _move(done, chain, moving)]
     merging = [(chain, mode) for chain, mode in judged if not mode.instead]
     undecided = tuple(mode for _, mode in judged if mode.instead)
     if not merging and not (moving and done.p_noise < MISMATCH_P):
@@ -314,20 +394,20 @@ def _chains(refined: Refined) -> list[list[int]]:
     return chains
 
 
-def _move(done: Completed, chain: list[int]) -> list[tuple[list[int], MovedMode]]:
+def _move(done: Completed, chain: list[int], moving: bool) -> list[tuple[list[int], MovedMode]]:
     if len(chain) < 2:
         return []
     s, frfs = _fit_alone(done, chain)
     if s.size < FEWEST_LINES:
         return []
-    mode = _fit_one_mode(s, frfs, done.refined.poles[chain])
+    mode = _fit_one_mode(s, frfs, done.refined.poles[chain], moving)
     if mode is not None and not mode.instead:
         return [(chain, mode)]
     middle = len(chain) // 2
     return [
         *([] if mode is None else [(chain, mode)]),
-        *_move(done, chain[:middle]),
-        *_move(done, chain[middle:]),
+        *_move(done, chain[:middle], moving),
+        *_move(done, chain[middle:], moving),
     ]
 
 
@@ -422,17 +502,18 @@ def _squares_in_proportion(s: ComplexArray, frfs: ComplexArray, mode: MovedMode)
     return np.array(squares)
 
 
-def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray) -> MovedMode | None:
+def _fit_one_mode(s: ComplexArray, frfs: ComplexArray, chain: ComplexArray, moving: bool) -> MovedMode | None:
     """The chain as one mode with a pole per point, *instead* of two where one reference cannot tell, or None
     where it is two.
     """
     n_line, n_point, n_reference = frfs.shape
     moved, squares = _fit_by_points(s, frfs, chain)
     flat, n_entry = frfs.reshape(n_line, -1), n_point * n_reference
-    # What moves acts on the references in one proportion at all points, modes on one place do not; one
-    # reference is in proportion, but for rounding.
+    # What moves acts on the references in one proportion at all points, but for what a known mass turns modes
+    # into each other; modes on one place do not; one reference is in proportion, but for rounding.
     apart = 2 * n_line * float(np.sum(np.log(_squares_in_proportion(s, frfs, moved)) - np.log(squares)))
-    if n_reference > 1 and apart > np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1):
+    limit = np.log(2 * n_line * n_entry) * 2 * (n_point - 1) * (n_reference - 1)
+    if n_reference > 1 and not moving and apart > limit:
         return None
 
     def compare(poles: ComplexArray) -> tuple[float, ComplexArray, ComplexArray]:
@@ -510,15 +591,3 @@ def unloaded_values(
         mean = repeat_mean(values[:, place], errors[:, place] ** 2, scales[place], square)
         pieces[name] = (mean.value, mean.value - mean.half_width, mean.value + mean.half_width)
     return pieces
-
-
-def loaded_findings(n_mode: int, errors: Mapping[int, ModelError]) -> tuple[Finding, ...]:
-    """A warning for every mode whose frequency without the moving mass was asked for and cannot be told."""
-    loaded = [str(n) for n in range(1, n_mode + 1) if n not in errors or not errors[n].unloaded]
-    if not loaded:
-        return ()
-    message = (
-        f"f_n and zeta of mode {', '.join(loaded)} are those with the moving mass: {FEWEST_POINTS} points or "
-        "fewer show the mode by itself. Measure more points where it moves"
-    )
-    return (Finding("moved-mode", message),)

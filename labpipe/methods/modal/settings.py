@@ -30,8 +30,8 @@ class ModalSettings(Settings):
         "complex, or real as with damping in proportion to mass and stiffness", ("complex", "real"), "complex"
     )
     moving_mass: float | None = quantity(
-        "mass of the sensor or hammer that moves from point to point and loads the structure; frequencies "
-        "and damping are then those without it",
+        "mass of the sensor or hammer that moves from point to point (that it moves is used, not its size); "
+        "frequencies and damping are then those without it",
         "kg",
         None,
     )

@@ -13,7 +13,7 @@ import pytest
 from labpipe.errors import ConfigError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
-from labpipe.methods.modal.fit import loaded_findings
+from labpipe.methods.modal.model_error import loaded_findings
 from labpipe.methods.modal.moved import mean_of_points
 from labpipe.methods.modal.settings import ModalSettings
 from labpipe.records.finding import WARNING
@@ -34,10 +34,13 @@ def roving(
     beside: tuple[float, ...] = (),
     lines: np.ndarray = FREQUENCY,
     level: float = NOISE,
+    changes: np.ndarray | float = 0.0,
 ) -> FrequencyResponse:
-    """*pull* in half-power widths where a mode moves most; *beside*: further modes [Hz] of other shapes."""
+    """*pull* in half-power widths where a mode moves most; *beside*: further modes [Hz] of other shapes;
+    *changes* of the frequencies [1].
+    """
     rng = np.random.default_rng(seed)
-    natural = np.concatenate([MODES, beside])
+    natural = np.concatenate([MODES, beside]) * (1 + changes)
     shapes = np.vstack([SHAPES, *(np.cos(np.pi * 2.5 * SHAPES[:1]) for _ in beside)])
     fixed = rng.uniform(0.3, 1, (natural.size, FIXED)) * rng.choice([-1, 1], (natural.size, FIXED))
     w = 2 * np.pi * lines[:, None, None]
@@ -192,6 +195,29 @@ def test_the_frequency_without_what_moves_is_held() -> None:
     assert right >= 5 and held >= 15
 
 
+@pytest.mark.long
+def test_a_mass_that_turns_modes_into_each_other_splits_none() -> None:
+    """The exact law of a mass m at point p, H_ap / (1 + m s^2 H_pp), of modes of modal mass 1 in closed form
+    (Sherman and Morrison): residues of the points are in no one proportion at the references. It moves modes
+    by half of a half-power width, and f_n is that without it.
+    """
+    rng, lines = np.random.default_rng(0), FREQUENCY[::2]
+    fixed = rng.uniform(0.3, 1, (3, FIXED)) * rng.choice([-1, 1], (3, FIXED))
+    s, w_n = 2j * np.pi * lines[:, None], 2 * np.pi * MODES
+    modal = 1 / (s**2 + 2 * ZETA * w_n * s + w_n**2)
+    load = 1 + 2 * ZETA * s**2 * (modal @ SHAPES**2)
+    matrix = np.einsum("lm,ma,mp->lap", modal, fixed, SHAPES) / load[:, None]
+    std = NOISE * np.sqrt(np.mean(np.abs(matrix) ** 2))
+    matrix = matrix + std * (rng.normal(size=matrix.shape) + 1j * rng.normal(size=matrix.shape)) / np.sqrt(2)
+    still = roving(0, 0.0, lines=lines)
+    covariance = diagonal_covariance(np.full(matrix.shape, std**2))
+    fit = fitted(replace(still, matrix=matrix, covariance=covariance), moving_mass=0.008)
+    assert len(fit.detail(Modes).frequency) == 3
+    for number, f_n in enumerate(MODES, start=1):
+        low, high = fit.parameter(f"f_n_{number}").ci95
+        assert low < f_n < high and high - low < 0.003 * f_n
+
+
 def test_a_mode_that_too_few_points_show_is_said_to_be_loaded() -> None:
     """Without a course over phi^2 the frequency without the moving mass cannot be told; of the mode beside it
     it can.
@@ -221,6 +247,33 @@ def test_references_of_other_frequencies_split_no_mode() -> None:
         # Two of three lie .033 % below the mean, one .067 % above it.
         assert low < f_n < 1.001 * f_n < high and high - low < 0.0015 * f_n
     assert not fitted(response).findings
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (np.full(4, 0.002), "by 0.2 %: all modes of y0 lie below those of y1"),
+        (np.array([1, 0, 3, 2]) * 1e-3, "by up to 0.3 %: the mode at 240"),
+        (np.zeros(4), ""),
+    ],
+)
+def test_references_apart_have_the_modes_of_one_with_a_close_pair(changes: np.ndarray, said: str) -> None:
+    """A pair is two poles at either reference, and its modes have shapes of their own: 4 modes in closed
+    form, of which one of three references has its frequencies higher by one factor or, under a shaker that
+    loads it, by others. Without either nothing is said. Both states are held.
+    """
+    response, other = (roving(3, 0.0, (164.5,), changes=change) for change in (0.0, changes))
+    matrix = response.matrix.copy()
+    matrix[:, 1] = other.matrix[:, 1]
+    fit = fitted(replace(response, matrix=matrix))
+    messages = [finding.message for finding in fit.findings if finding.code == "moved-mode"]
+    assert len(fit.detail(Modes).frequency) == 4
+    assert len(messages) == bool(said) and all(said in message for message in messages)
+    for number, (f_n, change) in enumerate(
+        zip([100, 163, 164.5, 240], changes[[0, 1, 3, 2]], strict=True), 1
+    ):
+        low, high = fit.parameter(f"f_n_{number}").ci95
+        assert low < f_n * (1 + change) < high and low < f_n < high and high - low < 0.005 * f_n
 
 
 @pytest.mark.parametrize("seed", [2, 3])
