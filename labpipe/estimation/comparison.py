@@ -411,7 +411,8 @@ class RelaxingMount:
         """g of tau [s] or alpha [1] and its slope over that, each (n_line,) [1]."""
         if self.reference:
             turned = 1j * omega / self.reference
-            return turned**at, turned**at * np.log(turned)
+            # Of leakage lines beside the band are asked for as well, down to 0 Hz.
+            return turned**at, turned**at * np.log(np.where(omega > 0, turned, 1.0))
         s = 1j * omega * at
         return s / (1 + s), 1j * omega / (1 + s) ** 2
 
