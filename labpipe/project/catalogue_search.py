@@ -56,7 +56,7 @@ BY_RECORDING = "the last change of its first recording before it was evaluated"
 
 # What reads the rows of some tests, and what is the same of all of them.
 Rows = tuple[Callable[[], pa.Table], Mapping[str, str]]
-Found = TypeVar("Found")
+Chosen = TypeVar("Chosen")
 # Amounts of a condition, SI values and units, by its texts; None of words.
 Amounts = Mapping[str, tuple[float, str] | None]
 
@@ -120,13 +120,13 @@ def _all_rows(index: Index, folder: Path, criteria: Filter) -> list[Rows]:
 
 
 def _collect(
-    choose: Callable[[pa.Table, Mapping[str, str]], list[Found]], asked: Sequence[Rows]
-) -> Iterator[Found]:
+    choose: Callable[[pa.Table, Mapping[str, str]], list[Chosen]], asked: Sequence[Rows]
+) -> Iterator[Chosen]:
     """What is chosen of all that have what is asked for; the first ConfigError where none has it."""
     faults: list[ConfigError] = []
-    for read, same in asked:
+    for read, shared in asked:
         try:
-            yield from choose(read(), same)
+            yield from choose(read(), shared)
         except ConfigError as error:
             faults.append(error)
     if faults and len(faults) == len(asked):
@@ -157,10 +157,10 @@ def _dataset_table(folder: Path, criteria: Filter) -> pa.Table:
     return table.filter(pc.is_valid(table["parameter"]))
 
 
-def _paths(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[str]:
+def _paths(criteria: Filter, table: pa.Table, shared: Mapping[str, str]) -> list[str]:
     """The files of the results whose tests are at the conditions."""
     table = table.filter(reduce(pc.and_, (condition_holds(table, text) for text in criteria.where)))
-    return [same["path"]] * min(table.num_rows, 1) if same else pc.unique(table["path"]).to_pylist()
+    return [shared["path"]] * min(table.num_rows, 1) if shared else pc.unique(table["path"]).to_pylist()
 
 
 def condition_holds(table: pa.Table, text: str) -> Any:
@@ -178,8 +178,8 @@ def _amounts(table: pa.Table, condition: str) -> Amounts:
     return {text: amount_of(text) for text in texts.to_pylist()}
 
 
-def _values(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[ValueRow]:
-    """The parameters among the rows of a *table* that meet the criteria; *same*: what all rows share."""
+def _values(criteria: Filter, table: pa.Table, shared: Mapping[str, str]) -> list[ValueRow]:
+    """The parameters among the rows of a *table* that meet the criteria; *shared*: what all rows share."""
     holds = [pc.is_valid(table["parameter"]), *(condition_holds(table, text) for text in criteria.where)]
     for column in NAMED:
         if pattern := getattr(criteria, column):
@@ -188,13 +188,13 @@ def _values(criteria: Filter, table: pa.Table, same: Mapping[str, str]) -> list[
             holds.append(pc.is_in(table[column], pa.array(kept, pa.string())))
     table = table.filter(reduce(pc.and_, holds))
     conditions = list(dataset_file.columns_of_conditions(table.column_names))
-    if same:
+    if shared:
         table = table.sort_by([("date", "ascending"), ("test", "ascending")])
     else:
         # Single results state them in many orders.
         conditions.sort()
     amounts = {condition: _amounts(table, condition) for condition in conditions}
-    rows = (value_row({**row, **same}, amounts) for row in table.to_pylist())
+    rows = (value_row({**row, **shared}, amounts) for row in table.to_pylist())
     return [row for row in rows if criteria.covers(row.date)]
 
 

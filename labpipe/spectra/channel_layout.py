@@ -161,12 +161,14 @@ def _member_rows(
     var H_oi (n_line, n_output, n_input) [unit of G / unit of H].
     """
     names = [sensor.name for sensor in layout.input_sensors]
-    none = np.zeros((frequency.size, len(layout.outputs), len(names)), np.complex128)
+    unrelated = np.zeros((frequency.size, len(layout.outputs), len(names)), np.complex128)
     unit = np.eye(len(names), dtype=np.complex128)
     rows = {
-        name: np.broadcast_to(unit[names.index(name)], none[:, 0].shape) for name in members if name in names
+        name: np.broadcast_to(unit[names.index(name)], unrelated[:, 0].shape)
+        for name in members
+        if name in names
     }
-    following: dict[str, ComplexArray] = dict.fromkeys(rows, none)
+    following: dict[str, ComplexArray] = dict.fromkeys(rows, unrelated)
     if len(rows) < len(members):
         measured = [sensor.name for sensor in layout.output_sensors]
         others = [name for name in members if name not in (*names, *measured)]
@@ -177,8 +179,8 @@ def _member_rows(
             layout,
             outputs=tuple(Port(str(number), name, name) for number, name in enumerate(measured)),
             output_columns=tuple(
-                (*known, *(place.index(name) for name in others))
-                for known, place in zip(layout.output_columns, places, strict=True)
+                (*columns, *(place.index(name) for name in others))
+                for columns, place in zip(layout.output_columns, places, strict=True)
             ),
             output_sensors=(*layout.output_sensors, *(channels[name] for name in others)),
             form="other",
@@ -188,7 +190,7 @@ def _member_rows(
         for name in set(members) - set(names):
             number = measured.index(name)
             rows[name] = (parts.matrix * factor)[:, number]
-            slope = _following(parts, number, none.shape[1])
+            slope = _following(parts, number, unrelated.shape[1])
             following[name] = slope * factor[:, None, number] / of_matrix
     return rows, following
 
@@ -201,9 +203,9 @@ def _following(parts: Parts, number: int, n_output: int) -> ComplexArray:
     slope = np.zeros((n_line, n_output, n_input), np.complex128)
     if parts.covariance is not None:
         for o, i in np.ndindex(n_output, n_input):
-            own, other = number * n_input + i, o * n_input + i
-            variance = element_of(parts.covariance, other, other)
-            shared = element_of(parts.covariance, own, other)
+            of_member, of_matrix = number * n_input + i, o * n_input + i
+            variance = element_of(parts.covariance, of_matrix, of_matrix)
+            shared = element_of(parts.covariance, of_member, of_matrix)
             np.divide(shared, variance, out=slope[:, o, i], where=variance != 0)
     return slope
 

@@ -430,6 +430,7 @@ def _errors(
     for response, (row, column) in zip(responses, places, strict=True):
         for error in response.errors:
             wholes[error.uncertainty.source][:, row, column] += error.change
+    # Powers of one matrix are not those of several together.
     return tuple(replace(error, change=wholes[source], parts=()) for source, error in by_source.items())
 
 

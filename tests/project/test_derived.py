@@ -379,3 +379,49 @@ def test_noise_of_a_sensor_in_force_and_response_is_no_loop_and_no_wrong_number(
     assert not {"feedback", "mass", "stated-value"} & {finding.code for finding in fit.findings}
     stiffness = fit.parameter("k")
     assert abs(stiffness.value - 40e3) < 4 * stiffness.full_error
+
+
+# Forces on a stator of 30 kg less its inertia, on two axes, every gain known to 1 %.
+STATOR = """sample_rate: 500 Hz
+constants: {m_s: 30 kg +- 0.1 kg}
+channels:
+  fx: {quantity: force, unit: V, sensitivity: 1 V/N +- 1 %, role: reference}
+  fy: {quantity: force, unit: V, sensitivity: 1 V/N +- 1 %, role: reference}
+  ax: {quantity: acceleration, unit: V, sensitivity: 1 V/(m/s^2) +- 1 %, role: reference}
+  ay: {quantity: acceleration, unit: V, sensitivity: 1 V/(m/s^2) +- 1 %, role: reference}
+  x: {quantity: displacement, unit: V, sensitivity: 1 V/m +- 1 %, role: output, dof: x}
+  y: {quantity: displacement, unit: V, sensitivity: 1 V/m +- 1 %, role: output, dof: y}
+  ex: {quantity: force, derived: fx - m_s * ax, role: input, dof: x}
+  ey: {quantity: force, derived: fy - m_s * ay, role: input, dof: y}
+"""
+
+
+def test_sound_sums_on_two_axes_are_contradicted_by_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    # F = (K + jw C - w^2 m_s) X in closed form, one shaker after the other; every statement is exact.
+    k, c = np.array([[4e6, 5e5], [-3e5, 6e6]]), np.array([[3e3, 5e2], [2e2, 4e3]])
+    w = np.pi * LINES
+    receptance = np.linalg.inv(k + 1j * w[:, None, None] * c - 30 * w[:, None, None] ** 2 * np.eye(2))
+    (tmp_path / "rig.yaml").write_text(STATOR)
+    recordings = []
+    with output_folder(tmp_path / "out") as output:
+        for run in (0, 1):
+            force = np.exp(2j * np.pi * rng.random(w.size))[:, None] * np.where(np.arange(2) == run, 1, 0.05)
+            moved = np.einsum("lij,lj->li", receptance, force)
+            spectra = np.zeros((501, 6), complex)
+            spectra[LINES] = np.hstack([force, -(w[:, None] ** 2) * moved, moved])
+            samples = np.tile(np.fft.irfft(spectra, 1000, axis=0), (10, 1))
+            samples += (
+                0.01 * np.std(samples, axis=0).reshape(3, 2).max(1).repeat(2) * rng.normal(size=samples.shape)
+            )
+            path = tmp_path / f"run-{run}.csv"
+            np.savetxt(path, samples, delimiter=",", header="fx,fy,ax,ay,x,y", comments="")
+            source = SourceFile(path, load_rig(tmp_path / "rig.yaml"))
+            recordings.append(ingest(source, output, path.stem, tmp_path).in_memory())
+    response = measure(recordings, FrfSettings("periodic", period=2.0, band=(10.0, 90.0)))
+    (fit,) = identify(response, FitSettings("rotor-2dof", mass=0.0))
+    assert not fit.findings
+    for name, value in zip(("k_xx", "k_xy", "k_yx", "k_yy"), k.ravel(), strict=True):
+        parameter = fit.parameter(name)
+        # Gains of a force, a response and an accelerometer that takes as much as K off: 2 to 3 %.
+        assert abs(parameter.value - value) < 4 * parameter.std_error
+        assert 0.01 < parameter.full_error / abs(value) < 0.05

@@ -49,6 +49,20 @@ def test_sums_are_those_written_out(
     assert products.n_block == 7
 
 
+def test_short_segments_of_several_rooms_are_summed_as_one_by_one(rng: np.random.Generator) -> None:
+    # Literal twin: X_a X_b* of every segment; two full rooms, whose transforms are not copied, and a rest.
+    window, lines = window_values("hann", 512), range(1, 200)
+    products = LineProducts(window, lines, 8, np.empty((0, 1), complex))
+    segments = rng.normal(size=(2 * products.room + 7, 512, 8))
+    for start in range(0, len(segments), products.room):
+        some = segments[start : start + products.room]
+        products.put(some, np.empty((len(some), 0, 8)))
+    products.flush()
+    spectra = np.fft.rfft(segments * window[:, None], axis=1)[:, lines.start : lines.stop]
+    expected = np.einsum("sla,slb->lab", spectra, spectra.conj())
+    np.testing.assert_allclose(products.matrix(), expected, rtol=0, atol=1e-12 * np.max(np.abs(expected)))
+
+
 def test_long_blocks_are_packed_where_channels_are_few_and_in_pairs() -> None:
     trend = np.empty((0, 1), complex)
     for n, n_channel, way in (

@@ -181,7 +181,7 @@ class MovedReferences:
 
     def hold(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
         """Frequencies, and stiffnesses ~ f^2, whose intervals hold those of all references."""
-        natural, held = np.abs(self.poles[0]) * np.exp(-self.shifts[0]) / (2 * np.pi), []
+        natural, restated = np.abs(self.poles[0]) * np.exp(-self.shifts[0]) / (2 * np.pi), []
         values = {parameter.name: parameter.value for parameter in parameters}
         for parameter in parameters:
             name, _, number = parameter.name.rpartition("_")
@@ -192,8 +192,8 @@ class MovedReferences:
                 errors = NORMAL * value * power * self.errors[:, mode]
                 low, high = (np.hypot(end - value, errors) for end in parameter.ci95)
                 parameter = _hold(parameter, float(np.min(ends - low)), float(np.max(ends + high)), APART)
-            held.append(parameter)
-        return tuple(held)
+            restated.append(parameter)
+        return tuple(restated)
 
     def finding(self, names: Sequence[str]) -> Finding:
         """A warning by how much the references, called *names*, disagree."""
@@ -271,7 +271,7 @@ def _distances(
 
 
 def _references_apart(lines: FrfLines, find_modes: Callable[[FrfLines], Poles]) -> list[MovedReferences]:
-    """By one factor for all modes, and by one for each, where either is beyond chance."""
+    """How references of *lines* differ: alike in all modes, and each mode by itself, beyond chance."""
     alone = []
     for reference in range(lines.matrix.shape[2]):
         frfs = replace(lines, matrix=lines.matrix[:, :, [reference]])
@@ -281,34 +281,38 @@ def _references_apart(lines: FrfLines, find_modes: Callable[[FrfLines], Poles]) 
         except FitError:
             return []
         alone.append(complete(modes, terms, adding=True).refined)
-    known, shapes = alone[0].poles[:0], alone[0].shapes[:, :0]
+    mode_poles, mode_shapes = alone[0].poles[:0], alone[0].shapes[:, :0]
     table = len(alone), sum(fit.poles.size for fit in alone)
     poles, weights = np.zeros(table, np.complex128), np.zeros(table)
-    residues = np.zeros((table[0], len(shapes), table[1]), np.complex128)
+    residues = np.zeros((table[0], len(mode_shapes), table[1]), np.complex128)
     for reference, fit in enumerate(alone):
-        apart = _distances(fit.poles, fit.shapes, known, shapes)
+        apart = _distances(fit.poles, fit.shapes, mode_poles, mode_shapes)
         rows, columns = scipy.optimize.linear_sum_assignment(apart)
-        number, same = np.full(fit.poles.size, -1), apart[rows, columns] < MOST_APART
-        number[rows[same]] = columns[same]
-        new = number < 0
-        number[new] = known.size + np.arange(np.count_nonzero(new))
-        known, shapes = np.append(known, fit.poles[new]), np.hstack([shapes, fit.shapes[:, new]])
+        number, is_near = np.full(fit.poles.size, -1), apart[rows, columns] < MOST_APART
+        number[rows[is_near]] = columns[is_near]
+        is_new = number < 0
+        number[is_new] = mode_poles.size + np.arange(np.count_nonzero(is_new))
+        mode_poles = np.append(mode_poles, fit.poles[is_new])
+        mode_shapes = np.hstack([mode_shapes, fit.shapes[:, is_new]])
         by_noise = lines.shared * np.diag(fit.covariance)[1 : 2 * fit.poles.size : 2]
         poles[reference, number], weights[reference, number] = fit.poles, np.abs(fit.poles) ** 2 / by_noise
         residues[reference][:, number] = fit.shapes * fit.participation.T
-    poles, weights, residues = poles[:, : known.size], weights[:, : known.size], residues[..., : known.size]
+    n_mode = mode_poles.size
+    poles, weights, residues = poles[:, :n_mode], weights[:, :n_mode], residues[..., :n_mode]
     n_shown, total = np.count_nonzero(poles, axis=0), np.sum(weights, axis=0)
     poles = np.where(poles == 0, np.sum(poles, axis=0) / n_shown, poles)
     logs = np.log(np.abs(poles))
     each = np.where(weights > 0, logs - np.sum(weights * logs, axis=0) / total, 0.0)
-    found = [] if (common := _common_shifts(logs, weights)) is None else [common]
+    shifts = [] if (common := _common_shifts(logs, weights)) is None else [common]
     if chi2_tail(float(np.sum(weights * each**2)), int(np.sum(n_shown - 1))) < DISAGREE:
-        found.append((each, np.sqrt((1 - weights / total) / np.where(weights > 0, weights, np.inf))))
-    return [MovedReferences(*of, poles, residues, lines.hysteretic) for of in found]
+        shifts.append((each, np.sqrt((1 - weights / total) / np.where(weights > 0, weights, np.inf))))
+    return [MovedReferences(*of, poles, residues, lines.hysteretic) for of in shifts]
 
 
 def _common_shifts(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Shifts and their standard errors, alike in all modes; None where they are chance."""
+    """Shifts and their standard errors (n_reference, n_mode) [1], alike in all modes; None where they are
+    chance. *logs*: ln of the frequencies, *weights* 1 over their variances, of that shape.
+    """
     # A mode counts as its worst reference tells it.
     weight, away = np.min(weights, axis=0), logs - np.mean(logs, axis=0)
     if (n_mode := int(np.count_nonzero(weight))) < FEWEST_POINTS:
@@ -318,7 +322,7 @@ def _common_shifts(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, F
     error = np.sqrt(np.maximum(scatter, 1 / np.sum(weight)))
     if np.max(np.abs(shifts) / error) < student_quantile(1 - DISAGREE / 2, n_mode - 1):
         return None
-    return shifts + 0 * logs, error + 0 * logs
+    return np.broadcast_to(shifts, logs.shape), np.broadcast_to(error, logs.shape)
 
 
 def alignment(omega: FloatArray, leakage: Leakage | None, moved: Moved) -> ComplexArray | float:
