@@ -24,9 +24,10 @@ from labpipe.spectra.windows import effective_averages, line_correlation
 # most channels that are worth packing, and samples per channel from which on it pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 4, 4096
 # Segments whose products are made together [samples, segments]: few enough to stay in the cache and, of very
-# long blocks, in memory. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
+# long blocks, in memory; twice as many as there are channels, since the sums of n x n products are read and
+# written once for all of them. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
 CACHED_SAMPLES = 1 << 18
-MOST_SAMPLES = 1 << 22
+MOST_SAMPLES = 1 << 24
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
 # Complex numbers of products that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
@@ -105,7 +106,8 @@ class LineProducts(SegmentProducts):
 
     def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
         n = window.size * n_channel
-        super().__init__(window, lines, n_channel, trend, max(SEGMENTS_AT_ONCE, CACHED_SAMPLES // n))
+        together = max(SEGMENTS_AT_ONCE, 2 * n_channel, CACHED_SAMPLES // n)
+        super().__init__(window, lines, n_channel, trend, together)
         # Short segments are transformed at once; of long ones each by a thread.
         is_short = n <= SAMPLES_OF_SHORT
         self._n_thread, self._together = (1, self._room) if is_short else (threads(), 1)
