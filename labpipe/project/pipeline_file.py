@@ -371,6 +371,7 @@ def _load(
     if results not in RESULTS:
         what = f"no way '{results}' to keep results"
         faults.add_at(entries, "", "results", what, nearest(results, RESULTS))
+    title = faults.text(entries, "", "title")
     _check_whole(tree, entries, tests, frf, faults)
     _check_kinds(entries, settings.get("identify", ()), tests, frf, faults)
     _check_conditions(entries, settings.get("matrix", ()), tests, faults)
@@ -378,7 +379,7 @@ def _load(
     assert report is not None
     return Pipeline(
         path,
-        title=text_of(entries, "title") or path.stem,
+        title=title or path.stem,
         tests=tests,
         frf=frf,
         report=report,

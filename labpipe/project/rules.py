@@ -307,7 +307,7 @@ def _read_outcomes(node: Marked | None, key: str, faults: Faults) -> tuple[str, 
 def _rule_texts(entry: Marked, key: str, faults: Faults, item: str, verdicts: tuple[str, ...]) -> list[str]:
     what = item.rpartition(".")[2]
     nodes = list_entries(entry)
-    if any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
+    if not nodes or any(isinstance(node.content, (dict, list)) or not node.text.strip() for node in nodes):
         hint = "write for example '>= 0.95', '45.2 kN/m +- 1 %' or 'collinear'"
         faults.add(entry, key, "a rule is missing", hint)
         return []

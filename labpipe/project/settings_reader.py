@@ -83,6 +83,12 @@ class Faults:
         self.add(node, key, "a mapping of keys to values is needed")
         return {}
 
+    def text(self, entries: Mapping[str, Marked], key: str, name: str) -> str:
+        """The text of an entry *name* under *key*; none where it is not there, a fault where it has none."""
+        if name in entries and not entries[name].text:
+            self.add_at(entries, key, name, "a text is missing")
+        return text_of(entries, name)
+
     def raise_any(self) -> None:
         if self._faults:
             raise ConfigErrors(self._faults)
@@ -323,10 +329,16 @@ def _content(node: Marked, name: str | None, setting: Setting, key: str, faults:
     return None
 
 
-def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
-    """The sorted files of a path or glob; a fault for none. *elsewhere*: URLs of objects may be."""
+def has_file(node: Marked, key: str, faults: Faults) -> bool:
+    """Whether an entry is a name, as of a file; a fault where it is not."""
     if not node.text:
         faults.add(node, key, "a file name is needed")
+    return bool(node.text)
+
+
+def files_of(node: Marked, key: str, faults: Faults, *, elsewhere: bool = False) -> list[Path]:
+    """The sorted files of a path or glob; a fault for none. *elsewhere*: URLs of objects may be."""
+    if not has_file(node, key, faults):
         return []
     try:
         address = path_of(node.text)

@@ -14,6 +14,7 @@ from labpipe.project.settings_reader import (
     Faults,
     conditions_in,
     files_of,
+    has_file,
     join,
     list_entries,
     plain_stem,
@@ -120,7 +121,7 @@ BY = ("time", "sample")
 
 def read_rig(node: Marked | None, faults: Faults, key: str) -> Rig | None:
     """The rig of a rig file that an entry names; None and a fault when it cannot be read."""
-    if node is None:
+    if node is None or not has_file(node, key, faults):
         return None
     try:
         return load_rig(faults.folder / node.text)
@@ -224,6 +225,8 @@ class RecordingReader:
             if "rig" not in entry.content:
                 return self.rig
             return read_rig(rig_node, self.faults, join(key, "rig"))
+        if not has_file(rig_node, join(key, "rig"), self.faults):
+            return None
         try:
             path, channels = self.faults.folder / rig_node.text, entry.content["channels"]
             return override_channels(path, channels, self.faults, join(key, "channels"))
@@ -308,7 +311,7 @@ class TestReader:
         if "each" in entries:
             yield from self._tests_per_file(entries, key)
         else:
-            yield self._test(text_of(entries, "name") or str(number), node, key)
+            yield self._test(self.faults.text(entries, key, "name") or str(number), node, key)
 
     def _tests_per_file(self, entries: dict[str, Marked], key: str) -> Iterator[Test]:
         """One test per file; files that differ in the parts of `together` alone are one test."""
@@ -336,7 +339,7 @@ class TestReader:
 
     def _each(self, entries: dict[str, Marked], key: str) -> EachFile:
         common, recorded = self._conditions(entries, key)
-        pattern = text_of(entries, "pattern")
+        pattern = self.faults.text(entries, key, "pattern")
         for name in (*common, *recorded):
             if f"{{{name}}}" in pattern:
                 what = "is in the pattern as well"

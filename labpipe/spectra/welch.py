@@ -24,8 +24,8 @@ from labpipe.spectra.windows import effective_averages, line_correlation
 # most channels that are worth packing, and samples per channel from which on it pays.
 SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 4, 4096
 # Segments whose products are made together [samples, segments]: few enough to stay in the cache and, of very
-# long blocks, in memory; twice as many as there are channels, since the sums of n x n products are read and
-# written once for all of them. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
+# long blocks, in memory; two for a channel at least, since sums of n x n products are read and written once
+# for all of them. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
 CACHED_SAMPLES = 1 << 18
 MOST_SAMPLES = 1 << 24
 SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000

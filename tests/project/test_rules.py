@@ -85,6 +85,7 @@ def test_no_section_has_no_rules() -> None:
         ("direct.k: ''", "accept.direct.k: a rule is missing"),
         ("direct.k:", "accept.direct.k: a rule is missing"),
         ("direct.k: {a: 1}", "accept.direct.k: a rule is missing"),
+        ("direct.k: []", "accept.direct.k: a rule is missing"),
         ("direct.k: ['> 1', '']", "accept.direct.k: a rule is missing"),
         (
             "direct.warnings: not model-mismach",

@@ -205,6 +205,13 @@ def test_channels_of_one_run_in_several_files(folder: Path) -> None:
             "p.yaml:2:1: recordings: no file matches 'z*.csv'; paths are relative to the pipeline file",
         ),
         ("recordings: [{rig: rig.yaml}]\n", "p.yaml:2:14: recordings: a file name is needed"),
+        ("title: [a]\nrecordings: runs/a.csv\n", "p.yaml:2:1: title: a text is missing"),
+        ("tests: [{name: {a: b}, recordings: runs/a.csv}]\n", "tests.1.name: a text is missing"),
+        ("recordings: [{file: runs/a.csv, rig: {}}]\n", "p.yaml:2:33: recordings.rig: a file name is needed"),
+        (
+            "recordings: [{file: runs/a.csv, rig: [], channels: {f: {dof: y}}}]\n",
+            "recordings.rig: a file name is needed",
+        ),
         (
             "recordings: [{file: runs/a.csv, rigg: rig.yaml}]\n",
             "recordings.rigg: unknown key; did you mean 'rig'?",

@@ -261,7 +261,7 @@ def _read_run(
                 into[name] = parse_phasor(entry.text, unit)
     if "readings" not in entries or entries["readings"].content == {}:
         faults.add(node, join(key, "readings"), "are missing", "readings: {A: 8.5 um at 60 deg}")
-    name = entries["name"].text if "name" in entries else f"run {len(named) + 1}"
+    name = faults.text(entries, key, "name") or f"run {len(named) + 1}"
     if name in named:
         faults.add(node, join(key, "name"), f"'{name}' is the name of an earlier run")
     named[name] = (vectors["weights"], vectors["readings"])

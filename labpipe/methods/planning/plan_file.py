@@ -58,9 +58,9 @@ def load_plan(path: Path, overrides: Iterable[str] = ()) -> PlanFile:
         kind = _kind(entries["plan"], faults)
         _sort_theory(entries["plan"])
         settings = None if kind is None else read_settings(kind.settings, entries["plan"], "plan", faults)
+    title = faults.text(entries, "", "title")
     faults.raise_any()
     assert kind is not None and settings is not None
-    title = entries["title"].text if "title" in entries else ""
     return PlanFile(path, title or path.stem, kind, settings)
 
 

@@ -227,7 +227,7 @@ class RunUpSettings(Settings):
                     raise SettingError(field, f"unknown name '{name}'", nearest(name, table))
                 if names.count(name) > 1:
                     raise SettingError(field, f"'{name}' is named twice", "leave one out")
-        all_ours = {*self.methods} <= {"amplitudes", "points", "joint", "process"}
+        all_ours = set() < {*self.methods} <= {"amplitudes", "points", "joint", "process"}
         for key in self.written if all_ours else ():
             if not {*OF_METHODS.get(key, self.methods)} & {*self.methods}:
                 what = f"'{key}' is of {' and '.join(OF_METHODS[key])}, which is not among the methods"
@@ -246,6 +246,8 @@ class RunUpSettings(Settings):
         needed = {self.metamodels_of} if self.metamodels else set()
         if "physical" in self.metamodels:
             needed.add("joint")
+        if not self.methods:
+            raise SettingError("methods", "nothing is fitted", f"known: {', '.join(METHODS)}")
         for name in sorted(needed - set(self.methods)):
             what = f"metamodels need the method '{name}', which is not fitted"
             raise SettingError("metamodels", what, f"add {name} to run_ups.methods")
