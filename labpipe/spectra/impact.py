@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
+from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
@@ -22,6 +23,7 @@ from labpipe.spectra.covariance import correct_covariance
 from labpipe.spectra.ports import Layout, Parts, left_out, parts_at_lines, select_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
+from labpipe.spectra.synchronous import ToneSearch
 from labpipe.spectra.welch import CrossSpectra
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
@@ -226,7 +228,7 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     findings += [left_out(source, why) for source, average in pairs if not average.n_found]
     averages, layout = _with_hits(averages, layout)
     raw = _average(averages, settings, layout)
-    findings.extend(average.slow_finding() for average in averages if average.slow)
+    findings += [finding for average in averages for finding in average.end_findings()]
     parts, chosen = _on_lines(raw, averages, settings, layout), select_lines(raw.frequency, settings)
     errors = [error[chosen] for error in _force_errors(averages, layout, settings.impact)]
     if settings.impact.force_window is not None:
@@ -440,6 +442,8 @@ class _HitAverage:
         self._alone: list[tuple[int, float, int, ComplexArray]] = []
         # Responses that ring on, with the longest block [s] in which one would die away, 0 where unknown.
         self.slow: dict[str, float] = {}
+        self._outputs = columns_of(source.channels, "output")
+        self._tones = ToneSearch(self.n_sample, len(self._outputs))
         # Power of every channel (n_channel,) before the first hit.
         self._quiet: FloatArray | None = None
         self.findings: list[Finding] = []
@@ -459,7 +463,9 @@ class _HitAverage:
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
         self._note_slow(samples, hit)
-        amplitude = scipy.fft.rfft(samples, axis=0)[self._lines]
+        spectrum = scipy.fft.rfft(samples, axis=0)
+        self._tones.add(hit.samples[:, self._outputs], spectrum[:, self.force])
+        amplitude = spectrum[self._lines]
         self._sum += amplitude[:, :, None] * amplitude[:, None, :].conj()
         self.n_hit += 1
         power = noise_power(hit, self.force, self._lines)
@@ -561,15 +567,25 @@ class _HitAverage:
         other._sum = np.einsum("hla,hlb->lab", hits, hits.conj())
         return other
 
-    def slow_finding(self) -> Finding:
-        """The warning of responses that ring on at the end of the block."""
-        names, needed = ", ".join(sorted(self.slow)), max(self.slow.values())
-        to = f" to about {needed:.2g} s" if needed else ""
-        return Finding(
-            "not-died-away",
-            f"the response {names} has not died away at the end of the block; "
-            f"lengthen `block`{to}, or give `decay`",
-        )
+    def end_findings(self) -> list[Finding]:
+        """The warnings of tones that no hit makes, and of other responses that ring on at the block's end."""
+        findings, slow = [], dict(self.slow)
+        for number, (frequency, amplitude, is_most) in self._tones.tones().items():
+            channel = self._source.channels[self._outputs[number]]
+            if is_most:
+                slow.pop(channel.name, None)
+            tone = f"{frequency * self._source.sample_rate:.4g} Hz"
+            message = (
+                f"{self.name}: response {channel.name} holds {tone} of "
+                f"{plain_text(amplitude, channel.unit, 3)} that no hit makes (a turning shaft, or hum), and "
+                f"it leaks into all lines; `remove: {{speed: {tone}, harmonics: 2}}` takes it out"
+            )
+            findings.append(Finding("steady-tone", message))
+        if slow:
+            to = f" to about {max(slow.values()):.2g} s" if any(slow.values()) else ""
+            message = f"the response {', '.join(sorted(slow))} has not died away at the end of the block; "
+            findings.append(Finding("not-died-away", f"{message}lengthen `block`{to}, or give `decay`"))
+        return findings
 
     def line_correlation(self) -> ComplexArray:
         """Correlation of the noise of lines 1, 2, ... apart, (n_distance,) [1]. Empty without an exponential

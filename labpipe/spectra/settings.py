@@ -21,7 +21,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *(*OF_LINES, "block", "window", "overlap", "detrend", "estimator"),
         *("local", "degree", "half_width", "remove", "reference"),
     ),
-    "impact": (*OF_LINES, "block", "estimator", "impact", "windowed"),
+    "impact": (*OF_LINES, "block", "estimator", "remove", "impact", "windowed"),
     "stepped-sine": (*OF_LINES, "skip", "settle", "smooth"),
     "sweep": (*OF_LINES, "degree", "half_width"),
     "decay": ("decay",),
@@ -146,7 +146,7 @@ class FrfSettings(Settings):
     exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
     mask: MaskSettings | None = section("lines of the shaft speed left out", MaskSettings, None)
     remove: ShaftLines | None = section(
-        "part synchronous with the shaft (runout, unbalance) taken out of all channels (periodic, random)",
+        "part synchronous with the shaft, taken out of all channels (periodic, random, impact)",
         ShaftLines,
         None,
     )

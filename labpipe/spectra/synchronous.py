@@ -64,21 +64,29 @@ class WithoutSynchronous(DerivedRecording):
             start += block.shape[0]
 
 
-def without_synchronous(source: SampleSource, lines: ShaftLines) -> WithoutSynchronous:
+def without_synchronous(
+    source: SampleSource, lines: ShaftLines, quiet: BoolArray | None = None
+) -> WithoutSynchronous:
     """The recording minus the first harmonics of the shaft speed, with amplitudes fitted to the whole
-    recording. The least-squares fit of the first `harmonics`; of all multiples it is time-synchronous
-    averaging (McFadden 1987). DataError for fewer than two revolutions. Equation (spec-synchronous).
+    recording, or to its *quiet* samples (n_sample,). The least-squares fit of the first `harmonics`; of all
+    multiples it is time-synchronous averaging (McFadden 1987). DataError for fewer than two revolutions.
+    Equation (spec-synchronous).
     """
     motion = _motion(source, lines)
+    if lines.tacho is not None:
+        motion = smooth_motion(motion, source.sample_rate)
     duration = source.n_sample / source.sample_rate
     turned = np.diff(motion.angle(np.array([0.0, duration])))[0] / (2 * np.pi)
     if turned < 2:
         what = f"recording '{source.name}' is shorter than two revolutions"
         raise DataError(what, hint="give the speed in Hz or rpm")
-    amplitude = _harmonics(source, motion, lines.harmonics)
+    if quiet is not None and np.mean(quiet) * turned < 2:
+        what = f"the hits of '{source.name}' leave less than two revolutions of the shaft between them"
+        raise DataError(what, hint="hit less often, or shorten `block`")
+    amplitude = _harmonics(source, motion, lines.harmonics, quiet)
     if lines.speed is not None:
-        refined = steady(_refine_speed(source, lines.speed), duration)
-        better = _harmonics(source, refined, lines.harmonics)
+        refined = steady(_refine_speed(source, lines.speed, quiet), duration)
+        better = _harmonics(source, refined, lines.harmonics, quiet)
         # Without 1x in the responses the refinement follows noise; then the given speed fits better.
         if np.sum(_shares(source, better)) > np.sum(_shares(source, amplitude)):
             motion, amplitude = refined, better
@@ -118,7 +126,79 @@ def shaft_turns(
     return np.exp(1j * angle[:, None] * np.arange(1, n_harmonic + 1))
 
 
-def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> ComplexArray:
+def between_hits(source: SampleSource, settings: FrfSettings) -> BoolArray:
+    """Samples (n_sample,) that lie outside the hits of a recording: a hit lasts from AHEAD of a block before
+    the force exceeds the trigger to RINGING of a block behind.
+    """
+    assert settings.block is not None
+    forces = columns_of(source.channels, "input")
+    record = np.concatenate([block[:, forces] for block in checked_blocks(source)])
+    push = np.max(np.abs(record - np.median(record, axis=0)), axis=1)
+    before, after = (round(share * settings.block * source.sample_rate) for share in (AHEAD, RINGING))
+    quiet = np.ones(push.size, bool)
+    for place in np.flatnonzero(push >= settings.impact.trigger * np.max(push)):
+        quiet[max(place - before, 0) : place + after] = False
+    return quiet
+
+
+class ToneSearch:
+    """Tones in responses that no hit makes, as of a shaft that turns: what the second and the last quarter of
+    blocks of *n_sample* samples hold in equal parts, and what does not follow the force.
+    """
+
+    def __init__(self, n_sample: int, n_response: int) -> None:
+        self._window = hann(n_sample // 4)
+        n_line = n_sample // 8 + 1
+        # Lines of a quarter among those of the block.
+        self._places = np.arange(n_line) * n_sample // self._window.size
+        self._power, self._fourth = np.zeros((2, n_line, n_response)), np.zeros((n_line, n_response))
+        self._crossed = np.zeros((2, n_line, n_response), np.complex128)
+        self._force, self.n_hit = np.zeros(n_line), 0
+
+    def add(self, responses: FloatArray, force: ComplexArray) -> None:
+        """A block (n_sample, n_response) [SI] and the DFT (n_sample // 2 + 1,) [SI] of its force."""
+        n = self._window.size
+        quarters = np.stack([responses[n : 2 * n], responses[-n:]])
+        quarters = (quarters - np.mean(quarters, axis=1, keepdims=True)) * self._window[:, None]
+        spectra, acting = fft.rfft(quarters, axis=1), force[self._places]
+        self._power += np.abs(spectra) ** 2
+        self._fourth += np.abs(spectra[1]) ** 4
+        self._crossed += spectra * acting.conj()[:, None]
+        self._force += np.abs(acting) ** 2
+        self.n_hit += 1
+
+    def tones(self) -> dict[int, tuple[float, float, bool]]:
+        """Frequency [cycles per sample] and amplitude [SI] by the response's number, and whether the tone is
+        most of what is left at the end of the blocks. Equation (spec-tone).
+        """
+        if self.n_hit < LEAST_HITS or self._window.size < LEAST_QUARTER:
+            return {}
+        force = np.maximum(self._force, np.finfo(float).tiny)[:, None]
+        left = np.maximum(self._power - np.abs(self._crossed) ** 2 / force, 0.0)
+        found = {}
+        for number, (early, late) in enumerate(np.moveaxis(left, 2, 0)):
+            line = 3 + int(np.argmax(late[3:-3]))
+            around = np.s_[line - 2 : line + 3]
+            total, power = float(np.sum(late[around])), self._power[1, :, number]
+            is_steady = total / ALIKE < np.sum(early[around]) < total * ALIKE
+            # Of a mode that noise shakes it is 2 in the mean.
+            is_constant = self.n_hit * self._fourth[line, number] < CONSTANT * power[line] ** 2
+            is_line = late[line] > max(STANDING * late[line - 3], STANDING * late[line + 3], power[line] / 2)
+            if not (is_steady and is_constant and is_line and 2 * total > np.sum(late)):
+                continue
+            peak = late[around]
+            side = 1 if peak[3] > peak[1] else -1
+            ratio = np.sqrt(peak[2 + side] / peak[2])
+            frequency = (line + side * (2 * ratio - 1) / (ratio + 1)) / self._window.size
+            scale = self.n_hit * self._window.size * np.sum(self._window**2)
+            is_most = bool(2 * total > np.sum(power))
+            found[number] = (float(frequency), float(2 * np.sqrt(total / scale)), is_most)
+        return found
+
+
+def _harmonics(
+    source: SampleSource, motion: ShaftMotion, n_harmonic: int, quiet: BoolArray | None
+) -> ComplexArray:
     """Least squares of x = c + Re sum_h X_h exp(j h theta), (n_harmonic, n_channel)."""
     n = 2 * n_harmonic + 1
     normal, right = np.zeros((n, n)), np.zeros((n, len(source.channels)))
@@ -126,6 +206,8 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
     for block in checked_blocks(source):
         turns = shaft_turns(motion, start, block.shape[0], source.sample_rate, n_harmonic)
         columns = np.column_stack([np.ones(block.shape[0]), turns.real, -turns.imag])
+        if quiet is not None:
+            columns *= quiet[start : start + block.shape[0], None]
         normal += columns.T @ columns
         right += columns.T @ block
         start += block.shape[0]
@@ -133,19 +215,19 @@ def _harmonics(source: SampleSource, motion: ShaftMotion, n_harmonic: int) -> Co
     return solution[1 : n_harmonic + 1] + 1j * solution[n_harmonic + 1 :]
 
 
-def _refine_speed(source: SampleSource, speed: float) -> float:
+def _refine_speed(source: SampleSource, speed: float, quiet: BoolArray | None) -> float:
     """The speed [Hz] near *speed* by the turn of 1x over stretches, each time over longer ones."""
     longest = min(READ_SAMPLES, source.n_sample // 2)
     stretch = max(1, round(STRETCH / speed * source.sample_rate))
     while True:
         stretch = min(stretch, longest)
-        speed = _refine(source, speed, stretch)
+        speed = _refine(source, speed, stretch, quiet)
         if stretch == longest:
             return speed
         stretch *= LONGER
 
 
-def _refine(source: SampleSource, speed: float, stretch: int) -> float:
+def _refine(source: SampleSource, speed: float, stretch: int, quiet: BoolArray | None) -> float:
     """The speed [Hz] near *speed* at which 1x keeps its phase, outputs weighted by their power."""
     motion = steady(speed, source.n_sample / source.sample_rate)
     window = hann(stretch)
@@ -156,7 +238,13 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
         n_whole = samples.shape[0] // stretch
         turns = shaft_turns(motion, start, n_whole * stretch, source.sample_rate, 1).conj()
         pieces = samples[: n_whole * stretch].reshape(n_whole, stretch, len(outputs))
-        pieces = pieces - pieces.mean(axis=1, keepdims=True)
+        weights = np.ones((n_whole, stretch, 1))
+        if quiet is not None:
+            weights[...] = quiet[start : start + n_whole * stretch].reshape(weights.shape)
+        mean = (
+            np.sum(weights * pieces, axis=1, keepdims=True) / np.maximum(np.sum(weights, axis=1), 1)[:, None]
+        )
+        pieces = weights * (pieces - mean)
         amplitudes.append(np.einsum("s,ks,ksc->kc", window, turns.reshape(n_whole, stretch), pieces))
         rest, start = samples[n_whole * stretch :], start + n_whole * stretch
     joined = np.concatenate(amplitudes)
@@ -166,8 +254,12 @@ def _refine(source: SampleSource, speed: float, stretch: int) -> float:
     return speed + float(turn) / (2 * np.pi * stretch / source.sample_rate)
 
 
-# Factor by which the stretches grow that refine a speed.
-LONGER = 4
+# Fewest hits, and samples of a quarter of a block, that tell a tone; factor within which a tone has the power
+# of another quarter; power of a tone over that three lines away.
+LEAST_HITS, LEAST_QUARTER, ALIKE, STANDING, CONSTANT = 4, 64, 2.0, 30.0, 1.2
+# Factor by which the stretches grow that refine a speed; share of a block ahead of a hit that belongs to it,
+# and behind that its response rings.
+LONGER, AHEAD, RINGING = 4, 0.02, 0.75
 # A harmonic of which less than the larger share is left after the mean over periods lies on a line, which is
 # dropped. It is fitted all the same, down to the smaller share, since it leaks into neighbouring lines.
 LEAST_LEFT, LEAST_FITTED = 0.5, 1e-4
@@ -383,8 +475,9 @@ def without_shaft(
     for source, rests in zip(sources, resting, strict=True):
         if rests:
             cleaned.append(source)
-        elif settings.excitation == "random":
-            cleaned.append(without_synchronous(source, remove))
+        elif settings.excitation != "periodic":
+            quiet = between_hits(source, settings) if settings.excitation == "impact" else None
+            cleaned.append(without_synchronous(source, remove, quiet))
         else:
             without = without_runout(source, settings)
             cleaned.append(without.source)

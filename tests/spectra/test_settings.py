@@ -73,7 +73,7 @@ def test_hits(tmp_path: Path) -> None:
             "excitation: random\nblock: 5 s\nremove: {speed: 50 Hz, tacho: key}\n",
             "one of 'speed' and 'tacho'",
         ),
-        ("excitation: impact\nblock: 1 s\nremove: {speed: 50 Hz}\n", "'remove' is not for impact excitation"),
+        ("excitation: sweep\nremove: {speed: 50 Hz}\n", "'remove' is not for sweep excitation"),
         ("excitation: random\nblock: 5 s\ndetrend: square\n", "unknown choice 'square'"),
         (
             "excitation: impact\nblock: 1 s\nimpact: {pretrigger: 100 %}\n",

@@ -4,6 +4,9 @@ unharmed.
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -118,8 +121,8 @@ def test_the_mask_follows_the_tacho(rng: np.random.Generator) -> None:
 def test_what_cannot_be_removed_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(DataError, match="shorter than two revolutions"):
         without_synchronous(run(rng, even(0.001), ()), ShaftLines(speed=0.001))
-    with pytest.raises(ConfigError, match="'remove' is not for impact excitation"):
-        FrfSettings(excitation="impact", block=1.0, remove=ShaftLines(speed=50.0))
+    with pytest.raises(ConfigError, match="'remove' is not for sweep excitation"):
+        FrfSettings(excitation="sweep", remove=ShaftLines(speed=50.0))
 
 
 @pytest.mark.parametrize("harmonics", [4, 6])
@@ -137,3 +140,56 @@ def test_a_speed_is_refined_to_what_the_whole_record_tells() -> None:
     source = run(np.random.default_rng(1), even(33.37, 10_240), (0.2,), noise=0.3)
     cleaned = without_synchronous(source, ShaftLines(speed=33.3))
     assert cleaned.motion.speed_range[0] == pytest.approx(33.37, abs=1e-3)
+
+
+def struck(rng: np.random.Generator, added: np.ndarray) -> Recording:
+    """Hits every 640 samples or a little later at the same resonance, and what is *added* to its response."""
+    force = np.zeros(added.size)
+    starts = np.arange(100, added.size - 600, 640)
+    for start in starts + rng.integers(0, 60, starts.size):
+        force[start : start + 3] = rng.uniform(0.6, 1.2) * np.array([0.5, 1.0, 0.5])
+    response = signal.lfilter(*signal.iirpeak(60.0, 8.0, fs=RATE), force) + added
+    pulses = (37.3 * np.arange(added.size) / RATE % 1.0 < 0.5) * 5.0
+    samples = np.column_stack([force, response + 1e-5 * rng.normal(size=added.size), pulses])
+    return Recording((FORCE, X, replace(TACHO, quantity="tacho")), samples, RATE, "struck")
+
+
+N_STRUCK = 9000
+TURNING = 0.02 * np.cos(2 * np.pi * 37.3 * np.arange(N_STRUCK) / RATE + 1)
+HITS = FrfSettings("impact", block=1.0, band=(10.0, 200.0))
+
+
+@pytest.mark.parametrize("lines", [ShaftLines(speed=37.0), ShaftLines(tacho="tacho")])
+def test_hits_at_a_rotor_that_turns_lose_1x_and_say_so_where_they_keep_it(
+    rng: np.random.Generator, lines: ShaftLines
+) -> None:
+    recording = struck(rng, TURNING)
+    # The filter's own response is the truth; blocks of one second hold all of its decay, exp(-24).
+    kept, removed = (measure([recording], settings) for settings in (HITS, replace(HITS, remove=lines)))
+    expected = truth(kept.frequency)
+    off = [np.max(np.abs(response.matrix[:, 0, 0] - expected)) for response in (kept, removed)]
+    assert off[0] > 0.1
+    assert off[1] < 2e-3
+    (finding,) = [finding for finding in kept.findings if finding.code == "steady-tone"]
+    size = re.search(r"37\.3 Hz of ([\d.]+) mm that", finding.message)
+    # 20 mm; the five lines of a tone between two hold all but some per cent of it.
+    assert size is not None and float(size[1]) == pytest.approx(20.0, rel=0.05)
+    codes = {finding.code for finding in removed.findings}
+    assert not {"steady-tone", "not-died-away"} & codes and "synchronous-removed" in codes
+
+
+def test_a_mode_that_noise_shakes_between_hits_is_no_tone() -> None:
+    # Twenty records of a mode at 90 Hz, narrower than a line of a quarter of a block, under white noise.
+    codes = set()
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shaken = signal.lfilter(*signal.iirpeak(90.0, 90.0, fs=RATE), rng.normal(size=N_STRUCK))
+        codes |= {finding.code for finding in measure([struck(rng, 0.02 * shaken)], HITS).findings}
+    assert "steady-tone" not in codes
+
+
+def test_hits_that_leave_no_revolution_between_them_are_refused(rng: np.random.Generator) -> None:
+    # 0.2 Hz turn 3.5 times in 18 s, of which thirteen hits leave 8 s.
+    settings = replace(HITS, remove=ShaftLines(speed=0.2))
+    with pytest.raises(DataError, match="leave less than two revolutions of the shaft between them"):
+        measure([struck(rng, TURNING)], settings)
