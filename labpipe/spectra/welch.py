@@ -1,13 +1,7 @@
-"""Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method).
-
-Two ways of one job. LineProducts: small matrices, which BLAS multiplies line by line. Long blocks of a few
-pairs of channels: PackedProducts, in which two real channels share one complex transform and every operation
-runs over a long row.
-"""
+"""Averaged cross-spectral matrix of all channels in one pass over the recording (Welch's method)."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,37 +14,39 @@ from labpipe.processes import by_turns, threads
 from labpipe.spectra.settings import DETRENDS
 from labpipe.spectra.windows import effective_averages, line_correlation
 
-# Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together;
-# most channels that are worth packing, and samples per channel from which on it pays.
-SAMPLES_OF_SHORT, MOST_PACKED, PACKED_FROM = 80_000, 4, 4096
+# Measured on blocks of 4096 to 100,000 samples: samples of a block that stay in the cache, channels together.
+SAMPLES_OF_SHORT = 120_000
 # Segments whose products are made together [samples, segments]: few enough to stay in the cache and, of very
 # long blocks, in memory; two for a channel at least, since sums of n x n products are read and written once
-# for all of them. Long rows are fastest with fewer, of LONG_SAMPLES of a channel together at most.
-CACHED_SAMPLES = 1 << 18
-MOST_SAMPLES = 1 << 24
-SEGMENTS_AT_ONCE, MOST_LONG_SEGMENTS, LONG_SAMPLES = 18, 4, 100_000
+# for all of them.
+CACHED_SAMPLES, MOST_SAMPLES, SEGMENTS_AT_ONCE = 1 << 18, 1 << 24, 18
 # Complex numbers of products that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
 
 
-class SegmentProducts(ABC):
+class SegmentProducts:
     """Running sums of X_a X_b* over tapered segments w x whose trend sum_p c_p b_p is taken out after the
     transform. FFT(w (x - sum_p c_p b_p)) = FFT(w x) - sum_p c_p FFT(w b_p), where FFT(w b_p) has few lines
     that differ from zero. Equation (spec-trend).
     """
 
-    def __init__(
-        self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray, n_together: int
-    ) -> None:
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
         """*window* (n,) [1]; *lines* of the DFT that are summed, neighbours above 0; *trend* (n_row,
-        n_disturbed): FFT(w b_p) from there. *n_together*: segments transformed at once, where memory allows
-        it.
+        n_disturbed): FFT(w b_p) from there.
         """
-        self._n, self._lines, self._n_channel, self._trend = window.size, lines, n_channel, trend
-        self._room = max(1, min(n_together, MOST_SAMPLES // (window.size * n_channel)))
+        self._n, self._lines, self._trend = window.size, lines, trend
+        n = window.size * n_channel
+        together = max(SEGMENTS_AT_ONCE, 2 * n_channel, CACHED_SAMPLES // n)
+        self._room = max(1, min(together, MOST_SAMPLES // n))
         self._coefficients = np.empty((self._room, trend.shape[0], n_channel))
-        self._n_waiting = 0
-        self.n_block = 0
+        self._n_waiting = self.n_block = 0
+        # Short segments are transformed at once; of long ones each by a thread.
+        is_short = n <= SAMPLES_OF_SHORT
+        self._n_thread, self._together = (1, self._room) if is_short else (threads(), 1)
+        self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
+        self._tapered = np.empty((self._n_thread, self._together, self._n, n_channel))
+        self._amplitude = np.empty((self._room, len(lines), n_channel), np.complex128)
+        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
 
     @property
     def room(self) -> int:
@@ -61,62 +57,8 @@ class SegmentProducts(ABC):
         """Put in at most *room* segments (n_segment, n, n_channel) with their trends (n_segment, n_row,
         n_channel) [channel unit].
         """
-        place = slice(self._n_waiting, self._n_waiting + segments.shape[0])
-        self._taper_into(place, segments)
-        self._coefficients[place] = coefficients
-        self._n_waiting = place.stop
-        if self.room == 0:
-            self.flush()
+        first = self._n_waiting
 
-    def flush(self) -> None:
-        """Add what is waiting to the sums."""
-        if self._n_waiting:
-            self._add(self._n_waiting, self._coefficients[: self._n_waiting])
-            self.n_block += self._n_waiting
-            self._n_waiting = 0
-
-    @abstractmethod
-    def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        """Keep segments (n_segment, n, n_channel) times the window."""
-
-    @abstractmethod
-    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        """Transform the first *n_segment* that are kept and add their products. Coefficients (n_segment,
-        n_row, n_channel).
-        """
-
-    @abstractmethod
-    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit. Of
-        all b, or of *columns*.
-        """
-
-
-def segment_products(
-    window: FloatArray, lines: range, n_channel: int, trend: ComplexArray
-) -> SegmentProducts:
-    """The faster way for this *window* (n,) [1]; arguments as for SegmentProducts."""
-    if n_channel % 2 == 0 and n_channel <= MOST_PACKED and window.size >= PACKED_FROM * n_channel:
-        return PackedProducts(window, lines, n_channel, trend)
-    return LineProducts(window, lines, n_channel, trend)
-
-
-class LineProducts(SegmentProducts):
-    """Products of small matrices, line by line."""
-
-    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        n = window.size * n_channel
-        together = max(SEGMENTS_AT_ONCE, 2 * n_channel, CACHED_SAMPLES // n)
-        super().__init__(window, lines, n_channel, trend, together)
-        # Short segments are transformed at once; of long ones each by a thread.
-        is_short = n <= SAMPLES_OF_SHORT
-        self._n_thread, self._together = (1, self._room) if is_short else (threads(), 1)
-        self._taper = np.repeat(window, n_channel).reshape(self._n, n_channel)
-        self._tapered = np.empty((self._n_thread, self._together, self._n, n_channel))
-        self._amplitude = np.empty((self._room, len(lines), n_channel), np.complex128)
-        self._sum = np.zeros((len(lines), n_channel, n_channel), np.complex128)
-
-    def _taper_into(self, place: slice, segments: FloatArray) -> None:
         def transform(starts: Sequence[int], thread: int) -> None:
             for start in starts:
                 some = segments[start : start + self._together]
@@ -125,78 +67,43 @@ class LineProducts(SegmentProducts):
                 if len(some) == self._room:
                     self._amplitude = transformed
                 else:
-                    first = place.start + start
-                    self._amplitude[first : first + len(some)] = transformed
+                    self._amplitude[first + start : first + start + len(some)] = transformed
 
         by_turns(transform, range(0, len(segments), self._together), self._n_thread)
+        self._n_waiting += len(segments)
+        self._coefficients[first : self._n_waiting] = coefficients
+        if self.room == 0:
+            self.flush()
 
-    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        kept = self._amplitude[:n_segment]
+    def flush(self) -> None:
+        """Add what is waiting to the sums."""
+        if not self._n_waiting:
+            return
+        kept = self._amplitude[: self._n_waiting]
         for number, trend in enumerate(self._trend):
-            kept[:, : trend.size] -= trend[None, :, None] * coefficients[:, number, None, :]
+            coefficients = self._coefficients[: self._n_waiting, number, None]
+            kept[:, : trend.size] -= trend[None, :, None] * coefficients
         _add_matrices(kept.swapaxes(0, 1), self._sum, self._n_thread)
+        self.n_block += self._n_waiting
+        self._n_waiting = 0
 
     def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
-        return _matrix_of(self._sum, columns, scale)
-
-
-class PackedProducts(SegmentProducts):
-    """Products of Z = FFT(z) of channels in pairs, z_k = x_2k + i x_2k+1, an even number of them. X_2k(f) =
-    (Z_k(f) + Z_k(-f)*) / 2 and X_2k+1(f) = (Z_k(f) - Z_k(-f)*) / 2i, so that the sums of Z_k(f) Z_m(f)*,
-    Z_k(-f) Z_m(-f)* and Z_k(f) Z_m(-f) tell all of X_a X_b*, and nothing is unpacked before the end.
-    """
-
-    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
-        super().__init__(
-            window, lines, n_channel, trend, max(1, min(MOST_LONG_SEGMENTS, LONG_SAMPLES // window.size))
-        )
-        n_pair, n_line = n_channel // 2, len(lines)
-        self._taper = window.astype(np.complex128)
-        self._tapered = np.zeros((self._room, n_pair, self._n), np.complex128)
-        # Products with the conjugates of the pairs up to the same one, of positive and of negative
-        # frequencies in rising order.
-        self._positive = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
-        self._negative = [np.zeros((pair + 1, n_line), np.complex128) for pair in range(n_pair)]
-        self._crossed = np.zeros((n_pair, n_pair, n_line), np.complex128)
-
-    def _taper_into(self, place: slice, segments: FloatArray) -> None:
-        np.multiply(segments.view(np.complex128).swapaxes(1, 2), self._taper, out=self._tapered[place])
-
-    def _add(self, n_segment: int, coefficients: FloatArray) -> None:
-        transformed = fft.fft(self._tapered[:n_segment], axis=2, overwrite_x=True)
-        n_line, n = len(self._lines), self._n
-        positive = transformed[:, :, self._lines[0] : self._lines[-1] + 1]
-        negative = transformed[:, :, n - self._lines[-1] : n - self._lines[0] + 1]
-        for number, trend in enumerate(self._trend):
-            weight = coefficients[:, number, 0::2, None] + 1j * coefficients[:, number, 1::2, None]
-            positive[:, :, : trend.size] -= weight * trend
-            negative[:, :, n_line - trend.size :] -= weight * trend[::-1].conj()
-        n_chunk = max(4096, CACHED_PRODUCTS // transformed.shape[1])
-        product = np.empty((transformed.shape[1], n_chunk), np.complex128)
+        """*scale* sum X_a X_b* so far, (n_line, n_channel, n_channel) [unit], Hermitian to the last digit. Of
+        all b, or of *columns*. X_a X_b* and (X_b X_a*)* differ by rounding: of each pair that of the later
+        channel's row. A few lines at a time, which stay in the cache; lines are last in memory.
+        """
+        n_line, n = self._sum.shape[:2]
+        chosen = range(n) if columns is None else columns
+        matrix = np.empty((n, len(chosen), n_line), np.complex128)
+        n_chunk = max(1, CACHED_PRODUCTS // n**2)
         for start in range(0, n_line, n_chunk):
-            lines = slice(start, min(start + n_chunk, n_line))
-            mirrored, room = slice(n_line - lines.stop, n_line - start), product[:, : lines.stop - start]
-            for above, below in zip(positive[:, :, lines], negative[:, :, mirrored], strict=True):
-                _add_products(above, above.conj(), self._positive, lines, room)
-                _add_products(below, below.conj(), self._negative, mirrored, room)
-                _add_products(above, below[:, ::-1], tuple(self._crossed), lines, room)
-
-    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
-        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
-        n = self._n_channel
-        matrix = np.empty((n, n, len(self._lines)), np.complex128)
-        for k in range(len(self._positive)):
-            for m in range(k + 1):
-                positive, negative = self._positive[k][m], self._negative[k][m, ::-1].conj()
-                left, right = self._crossed[k, m], self._crossed[m, k].conj()
-                even, odd = positive + negative, positive - negative
-                cross, turned = left + right, left - right
-                matrix[2 * k, 2 * m] = (even + cross) * 0.25
-                matrix[2 * k + 1, 2 * m + 1] = (even - cross) * 0.25
-                matrix[2 * k + 1, 2 * m] = (odd + turned) * -0.25j
-                matrix[2 * k, 2 * m + 1] = (odd - turned) * 0.25j
-        return _hermitian_lines(matrix, columns, scale)
+            lines = slice(start, start + n_chunk)
+            part = self._sum[lines] * scale
+            np.einsum("laa->la", part).imag[...] = 0.0
+            for number, column in enumerate(chosen):
+                matrix[column:, number, lines] = part[:, column:, column].T
+                np.conjugate(part[:, column, :column].T, out=matrix[:column, number, lines])
+        return matrix.transpose(2, 0, 1)
 
 
 def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
@@ -212,43 +119,6 @@ def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1
             sums[chunk] += np.matmul(part.swapaxes(1, 2), part.conj(), out=product[: chunk.stop - start])
 
     by_turns(add, range(0, n_line, n_chunk), n_thread)
-
-
-def _add_products(
-    left: ComplexArray, right: ComplexArray, sums: Sequence[ComplexArray], lines: slice, product: ComplexArray
-) -> None:
-    """Add to *sums* of pair k left[k] times the first n_other rows of *right*, (n_pair, n_line)."""
-    for row, into in zip(left, sums, strict=True):
-        into[:, lines] += np.multiply(row, right[: into.shape[0]], out=product[: into.shape[0]])
-
-
-def _hermitian_lines(matrix: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """Matrices (n, n, n_line) with a right lower triangle as (n_line, n, n), lines last in memory."""
-    for row in range(matrix.shape[0]):
-        matrix[row, row].imag = 0.0
-        for column in range(row):
-            np.conjugate(matrix[row, column], out=matrix[column, row])
-    matrix *= scale
-    return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
-
-
-def _matrix_of(sums: ComplexArray, columns: Sequence[int] | None, scale: float) -> ComplexArray:
-    """*scale* times *sums* (n_line, n, n), or their *columns*, Hermitian to the last digit. X_a X_b* and (X_b
-    X_a*)* differ by rounding: of each pair that of the later channel's row. A few lines at a time, which stay
-    in the cache; lines are last in memory.
-    """
-    n_line, n = sums.shape[:2]
-    chosen = range(n) if columns is None else columns
-    matrix = np.empty((n, len(chosen), n_line), np.complex128)
-    n_chunk = max(1, CACHED_PRODUCTS // n**2)
-    for start in range(0, n_line, n_chunk):
-        lines = slice(start, start + n_chunk)
-        part = sums[lines] * scale
-        np.einsum("laa->la", part).imag[...] = 0.0
-        for number, column in enumerate(chosen):
-            matrix[column:, number, lines] = part[:, column:, column].T
-            np.conjugate(part[:, column, :column].T, out=matrix[:column, number, lines])
-    return matrix.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -288,7 +158,7 @@ class WelchAverage:
         trend = fft.rfft(window * self._basis, axis=1)[:, lines]
         above = np.abs(trend) > np.finfo(float).eps * np.sqrt(2 * trend.shape[1])
         trend = trend[:, : np.max(np.flatnonzero(np.any(above, axis=0)), initial=-1) + 1]
-        self._products = segment_products(window, self._lines, n_channel, trend)
+        self._products = SegmentProducts(window, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:
