@@ -163,7 +163,8 @@ def _settling_times(courses: Sequence[DwellCourse], part: int) -> tuple[float, f
             f"the responses have not settled {time[last - 1]:.3g} s after a step, where the dwells last "
             f"{longest:.3g} s"
         )
-        raise DataError(what, hint="longer dwells; or state `settle`")
+        turning = "a tone beside the force, as of a turning shaft, never settles: `mask` the lines beside it"
+        raise DataError(what, hint=f"longer dwells; or state `settle` ({turning})")
     tau = _time_constant(time[:last], excess[:last])
     settled, clear = seen_to, seen_to + 0.5 * tau * float(np.log(min(1.0, excess[last - 1] / CLEAR**2)))
     # The later a dwell is used, the fewer blocks are left, and the less is allowed.
