@@ -66,7 +66,6 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 
 
 def echo_results(rows: Sequence[ResultRow]) -> None:
-    """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
     lines = [
         (row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, row.fault or row.warnings)

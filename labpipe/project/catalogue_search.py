@@ -50,6 +50,7 @@ from labpipe.uncertainty.weighted import (
     dof_of_sum,
     straight_trend,
     told_apart,
+    variable_conditions,
 )
 
 # What gives the date of a test of many without the condition `date`.
@@ -368,13 +369,10 @@ class ParameterSeries:
         """Names of the other amounts that all tests have and tell apart from the condition, and all of these
         (1 + n_other, n) [SI]; none where they do not.
         """
-        others = {}
-        for name, (_, unit) in self.rows[0].amounts.items():
-            amounts = [row.amounts.get(name, (0.0, "")) for row in self.rows]
-            if name != self.over and len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
-                others[name] = [amount for amount, _ in amounts]
+        there = variable_conditions([row.amounts for row in self.rows])
+        others = {name: amounts for name, (_, amounts) in there.items() if name != self.over}
         rows = np.array([self.condition, *others.values()])
-        return (tuple(others), rows) if others and told_apart(rows) else ((), rows[:1])
+        return (tuple(others), rows) if told_apart(rows) else ((), rows[:1])
 
     @property
     def line(self) -> WeightedFit | None:

@@ -106,11 +106,11 @@ class CoefficientSeries:
         between them.
         """
         conditions = {}
-        for name, (_, unit) in self.values[0].conditions.items():
-            amounts = [value.conditions.get(name, (0.0, "")) for value in self.values]
-            if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
-                shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
-                conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
+        for name, (unit, amounts) in weighted.variable_conditions(
+            [value.conditions for value in self.values]
+        ).items():
+            shown = np.array([to_display(amount, display_unit(unit)) for amount in amounts])
+            conditions[name] = (Axis(name, unit_text(unit)), shown)
         days = [day for value in self.values if (day := day_of(value.when))]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
@@ -190,7 +190,6 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 
 def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...], str]:
-    """The line and what it is in words."""
     names, rows = series.joint_conditions(condition)
     x, law = rows[0], "straight trend" if len(names) == 1 else f"trend at the mean {' and '.join(names[1:])}"
     line, columns = series.line_over(rows), weighted.straight_columns(rows)
@@ -343,7 +342,6 @@ class Adjusted:
 
     @property
     def limits(self) -> weighted.ControlLimits:
-        """Control limits of the values."""
         return weighted.control_limits(self.values)
 
     @property
@@ -359,23 +357,20 @@ class Adjusted:
 
 def _adjust(series: CoefficientSeries, steep: Sequence[Trend]) -> Adjusted:
     """Of curved values with squares and products of the conditions, as far as these are determined."""
-    values, none = series.show(), np.ones((len(series.values), 1))
+    values, over = series.show(), series.over()
     trends = [of for of in steep if of.series is series and of.condition != "date"]
-    over, names = series.over(), tuple(of.condition for of in trends)
+    if not trends:
+        return Adjusted(series, (), np.ones((values.size, 1)), values)
+    names = tuple(of.condition for of in trends)
+    rows = np.array([over[name][1] for name in names])
     # Trends over conditions that are not told apart from each other are one.
-    if trends and not weighted.told_apart(np.array([over[name][1] for name in names])):
-        names = names[:1]
-    if not names:
-        return Adjusted(series, (), none, values)
-    columns = weighted.straight_columns(np.array([over[name][1] for name in names]))
+    number = len(names) if weighted.told_apart(rows) else 1
+    columns = weighted.straight_columns(rows[:number])
     columns /= np.max(np.abs(columns), axis=0)
     if any(of.line.curved for of in trends):
         columns = weighted.bent_columns(columns)
-    try:
-        fit = weighted.weighted_fit(columns, values, *series.parted_errors())
-    except FitError:
-        return Adjusted(series, (), none, values)
-    return Adjusted(series, names, columns, values - columns[:, 1:] @ fit.values[1:])
+    slopes = weighted.weighted_fit(columns, values, *series.parted_errors()).values[1:]
+    return Adjusted(series, names[:number], columns, values - columns[:, 1:] @ slopes)
 
 
 def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
@@ -421,7 +416,9 @@ def _verdict(
     if trends:
         sentence = f"Trends beyond chance, of {len(trends)} looked at: {'; '.join(steep) or 'none'}."
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
-        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in trends if of.line.curved]
+        # Conditions that are fitted together have one curvature.
+        bent = {(of.series.title, of.line.curved): of for of in reversed(trends) if of.line.curved}
+        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
     if series:
         values = sum(of.values.size for of in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."

@@ -5,6 +5,7 @@ outliers.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -368,6 +369,20 @@ def straight_columns(conditions: FloatArray) -> FloatArray:
     """1 and x - mean x (n, 1 + n_condition) of conditions (n,), or (n_condition, n) [any unit]."""
     rows = np.atleast_2d(conditions)
     return np.vstack([np.ones(rows.shape[1]), rows - rows.mean(axis=1, keepdims=True)]).T
+
+
+def variable_conditions(
+    tests: Sequence[Mapping[str, tuple[float, str]]],
+) -> dict[str, tuple[str, list[float]]]:
+    """Of the conditions of *tests*, value and unit by name, those that all have and that differ between them:
+    unit and values (n,) [that unit] by name.
+    """
+    found = {}
+    for name, (_, unit) in tests[0].items():
+        amounts = [conditions.get(name, (0.0, "")) for conditions in tests]
+        if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
+            found[name] = unit, [amount for amount, _ in amounts]
+    return found
 
 
 def told_apart(conditions: FloatArray) -> bool:

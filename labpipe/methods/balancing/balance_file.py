@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
@@ -284,8 +283,8 @@ class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
-    weights that would leave nothing, none where readings are fewer than planes. *other_angles*: in words, of
-    which the readings would not.
+    weights that would leave nothing, none where readings are fewer than planes. *mirrored*: since their
+    angles count in the other sense than those of the weights.
     """
 
     file: BalanceFile
@@ -296,7 +295,7 @@ class Balanced:
     next_runs: dict[str, float]
     widened: float = 1.0
     intervals: tuple[WeightInterval, ...] = ()
-    other_angles: str = ""
+    mirrored: bool = False
 
     @property
     def permissible(self) -> float | None:
@@ -330,38 +329,15 @@ def balance(file: BalanceFile) -> Balanced:
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
     intervals = weight_intervals(knowledge, weights)
-    other = _other_angles(file) if unlikely else ""
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, other)
+    mirrored = bool(unlikely) and _agree_mirrored(file)
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mirrored)
 
 
-def _other_angles(file: BalanceFile) -> str:
-    """In words the angles of readings that agree with weights, and a model, as these do not: counted in the
-    other sense and, by a model, from another mark. Runs alone do not tell the mark.
-    """
-
-    def knowledge(angle: float, mirrored: bool) -> Influence:
-        read = [run.readings.conj() if mirrored else run.readings for run in file.runs]
-        turned = zip(file.runs, read, strict=True)
-        runs = [replace(run, readings=np.exp(1j * angle) * readings) for run, readings in turned]
-        return influence(runs, file.noise, file.prior)
-
-    def misfit(angle: float, mirrored: bool) -> float:
-        return knowledge(angle, mirrored).misfit
-
-    found = [(misfit(0.0, mirrored=True), 0.0, True)]
-    for mirrored in (True, False) if file.prior is not None else ():
-        step = np.pi / 18
-        _, near = min((misfit(angle, mirrored), angle) for angle in (step * np.arange(36)).tolist())
-        ends = near - step, near + step
-        search = scipy.optimize.minimize_scalar(misfit, args=(mirrored,), bounds=ends)
-        found.append((search.fun, search.x, mirrored))
-    least, angle, mirrored = min(found)
-    if chi2_tail(least, knowledge(angle, mirrored).dof) < UNLIKELY:
-        return ""
-    ways = ["are counted in the other sense than those of the weights"] * mirrored
-    if file.prior is not None:
-        ways.append(f"have {np.degrees(angle) % 360:.0f} deg added")
-    return f"the readings agree (chi-square {least:.3g}) where their angles {' and '.join(ways)}"
+def _agree_mirrored(file: BalanceFile) -> bool:
+    """Whether the readings agree with weights, and a model, where their angles count in the other sense."""
+    runs = [replace(run, readings=run.readings.conj()) for run in file.runs]
+    known = influence(runs, file.noise, file.prior)
+    return chi2_tail(known.misfit, known.dof) >= UNLIKELY
 
 
 def _choose_weights(
@@ -430,6 +406,6 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "widened": result.widened,
-        "other_angles": result.other_angles,
+        "mirrored": result.mirrored,
         "next_runs": dict(result.next_runs),
     }

@@ -93,8 +93,11 @@ def sentences(result: Balanced) -> Iterator[str]:
             "weights are known less well (`weight_uncertainty`). All intervals count "
             f"{result.widened:.3g} times the stated noise"
         )
-        if result.other_angles:
-            yield f"warning: {result.other_angles}: the weights above are wrong then"
+        if result.mirrored:
+            yield (
+                "warning: the readings agree where their angles are counted in the other sense than those of "
+                "the weights; the weights above are wrong then"
+            )
     elif not knowledge.dof:
         yield (
             "note: no run is to spare, so that nothing shows whether readings scatter as stated and count "
