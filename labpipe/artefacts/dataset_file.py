@@ -155,7 +155,6 @@ def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
 
 
 def columns_of_conditions(names: Sequence[str]) -> Iterator[str]:
-    """The conditions that columns of a dataset are of."""
     return (name.removeprefix(CONDITION) for name in names if name.startswith(CONDITION))
 
 

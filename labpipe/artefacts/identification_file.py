@@ -132,7 +132,6 @@ _ALWAYS = ("code", "title", "pipeline", "sources", "inputs", "rig", "settings")
 
 
 def write_identification(path: Path, identification: Identification) -> None:
-    """Write the result."""
     some = (name for name in ("failed", "dataset") if getattr(identification, name))
     spectra = [_spectra_entry(spectra) for spectra in identification.spectra]
     of_rules: dict[str, list[dict[str, Any]]] = {"accept": [], "expect": []}

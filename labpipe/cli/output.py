@@ -65,7 +65,6 @@ def for_terminal(text: str) -> str:
 
 
 def echo_findings(findings: Iterable[Finding]) -> None:
-    """One line for each finding."""
     for finding in findings:
         echo(f"  {finding.level} {finding.code}: {finding.message}")
 

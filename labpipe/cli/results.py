@@ -66,7 +66,6 @@ def row_entry(row: ValueRow | ResultRow) -> dict[str, object]:
 
 
 def echo_results(rows: Sequence[ResultRow]) -> None:
-    """One line for each result."""
     header = ("date", "result", "rig", "tests", "verdict", "warnings")
     lines = [
         (row.date, name_of(row.path), row.rig, str(row.tests), row.verdict, row.fault or row.warnings)
@@ -186,7 +185,8 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     verdict = trend_verdict(slope, line.curved, sure=p_value < LEVEL)
     scatter = f"; {line.curved}" if line.curved else ""
     scatter += "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %)"
+    held = f", at {' and '.join(series.together[0])} held" if series.together[0] else ""
+    stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %){held}"
     return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 

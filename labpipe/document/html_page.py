@@ -51,7 +51,6 @@ def policy() -> str:
 
 
 def render_html(document: Document) -> str:
-    """The document as HTML."""
     counter = _Figures()
     sections = "\n".join(_section(n, section, counter) for n, section in enumerate(document.signed, 1))
     script = f"<script>{script_text()}</script>\n" if counter.alive else ""

@@ -37,7 +37,6 @@ def html_report(identification: Identification) -> bytes:
 
 
 def markdown_report(identification: Identification) -> bytes:
-    """The same report as Markdown."""
     return markdown_document(build(identification))
 
 

@@ -46,7 +46,6 @@ class Matrices:
 
 
 def no_matrices(n_dof: int, n_input: int) -> Matrices:
-    """Matrices of zeros."""
     square = np.zeros((n_dof, n_dof))
     return Matrices(square, square, square, np.zeros((n_dof, n_input)))
 

@@ -36,7 +36,6 @@ class ProductWeights:
     inputs: ComplexArray
 
     def at(self, lines: slice) -> ProductWeights:
-        """The weights of some *lines*."""
         return ProductWeights(self.outputs[lines], self.inputs[lines])
 
     def whiten(self, values: ComplexArray) -> ComplexArray:

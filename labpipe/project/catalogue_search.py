@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +49,8 @@ from labpipe.uncertainty.weighted import (
     control_limits,
     dof_of_sum,
     straight_trend,
+    told_apart,
+    variable_conditions,
 )
 
 # What gives the date of a test of many without the condition `date`.
@@ -362,13 +364,25 @@ class ParameterSeries:
         """Values of the parameter, (n,) [unit]."""
         return np.array([row.value for row in self.rows])
 
+    @cached_property
+    def together(self) -> tuple[tuple[str, ...], FloatArray]:
+        """Names of the other amounts that all tests have and tell apart from the condition, and all of these
+        (1 + n_other, n) [SI]; none where they do not.
+        """
+        there = variable_conditions([row.amounts for row in self.rows])
+        others = {name: amounts for name, (_, amounts) in there.items() if name != self.over}
+        rows = np.array([self.condition, *others.values()])
+        return (tuple(others), rows) if told_apart(rows) else ((), rows[:1])
+
     @property
     def line(self) -> WeightedFit | None:
-        """The weighted line; None where values, errors or differences of the condition are missing."""
+        """The weighted line, its slope at the others of `together` held; None where values, errors or
+        differences of the condition are missing.
+        """
         errors = np.array([row.random_error for row in self.rows], np.float64)
         sources = sources_in_common([(json.loads(row.changes), json.loads(row.dofs)) for row in self.rows])
         try:
-            return straight_trend(self.condition, self.values, errors, *sources)
+            return straight_trend(self.together[1], self.values, errors, *sources)
         except FitError:
             return None
 

@@ -243,7 +243,6 @@ def listed_points(matrices: ConditionMatrices) -> Iterator[ListedParameter]:
 
 
 def statement_lines(records: Comparisons | ConditionMatrices) -> Iterator[str]:
-    """The statement of every one."""
     return (f"{record.name}: {record.statement}" for record in records)
 
 

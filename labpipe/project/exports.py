@@ -218,13 +218,11 @@ NOISE = "noise"
 
 @with_endings(*TEXT)
 def write_covariance_csv(artefact: Path, target: Path) -> None:
-    """`covariance_table` as CSV."""
     write_table_csv(covariance_table(artefact), target)
 
 
 @with_endings(".parquet")
 def write_covariance_parquet(artefact: Path, target: Path) -> None:
-    """`covariance_table` as Parquet."""
     covariance_table(artefact).to_parquet(target, index=False)
 
 

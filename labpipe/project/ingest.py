@@ -291,8 +291,11 @@ def check_table(table: RawTable, rig: Rig) -> list[str]:
 
 def channel_screen(rig: Rig) -> ChannelScreen:
     """The search for faults of a rig's measured channels."""
-    names = [channel.channel.name for channel in rig.channels]
-    return ChannelScreen(names, list(map(_si_limits, rig.channels)))
+    channels = [channel.channel for channel in rig.channels]
+    of_rotation = {channel.name for channel in channels if channel.quantity in ("tacho", "speed")}
+    return ChannelScreen(
+        [channel.name for channel in channels], [*map(_si_limits, rig.channels)], of_rotation
+    )
 
 
 class Calibration:

@@ -53,7 +53,6 @@ class JoinedTable:
         self._cut: list[tuple[Path, int, int]] = []
 
     def file_of(self, column: str) -> str:
-        """The file in which a column stands."""
         return self._tables[self._place[column][0]].path.name
 
     def chunks(self, columns: Sequence[str]) -> Iterator[FloatArray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -196,10 +196,14 @@ class ChannelScreen:
     """
 
     def __init__(
-        self, names: Sequence[str], limits: Sequence[tuple[float, float] | None] | None = None
+        self,
+        names: Sequence[str],
+        limits: Sequence[tuple[float, float] | None] | None = None,
+        of_rotation: Collection[str] = (),
     ) -> None:
-        """*limits* of the range of every channel, where known."""
+        """*limits* of the range of every channel, where known; channels *of_rotation* may not vary at all."""
         n = len(names)
+        self._of_rotation = of_rotation
         self._names = list(names)
         self.minimum, self.maximum = np.full(n, np.inf), np.full(n, -np.inf)
         self._sum, self._squares, self._origin = np.zeros(n), np.zeros(n), np.full(n, np.nan)
@@ -306,6 +310,9 @@ class ChannelScreen:
             if self._n_missing[number] == self.n_sample:
                 continue
             if not self.maximum[number] > self.minimum[number]:
+                # The pulses or the speed of a shaft at rest.
+                if name in self._of_rotation:
+                    continue
                 faults.append(Finding("constant", f"channel {name} does not vary at all"))
                 continue
             largest = max(abs(self.minimum[number]), abs(self.maximum[number]))

@@ -444,7 +444,6 @@ def listed_parameters(identification: Identification) -> Iterator[ListedParamete
 
 
 def of_fit(fit: Fit) -> Iterator[ListedParameter]:
-    """The parameters of one fit."""
     codes = tuple(warning_codes(fit))
     for parameter in fit.parameters:
         yield ListedParameter(

@@ -178,7 +178,6 @@ def to_flag(value: Any, setting: Setting) -> bool:  # noqa: ARG001
 
 
 def to_text(value: Any, setting: Setting) -> str:  # noqa: ARG001
-    """A text."""
     return _text(value, "a text")
 
 

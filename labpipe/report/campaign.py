@@ -90,7 +90,7 @@ class CoefficientSeries:
         return alone, difference_in(1.0, self.unit) * changes, dofs
 
     def line_over(self, x: FloatArray) -> weighted.WeightedFit | None:
-        """The straight trend over *x* (n,) [any unit]; None where there is none."""
+        """The straight trend over *x* (n,), or (n_condition, n) [any unit]; None where there is none."""
         try:
             return weighted.straight_trend(x, self.show(), *self.parted_errors())
         except FitError:
@@ -106,16 +106,26 @@ class CoefficientSeries:
         between them.
         """
         conditions = {}
-        for name, (_, unit) in self.values[0].conditions.items():
-            amounts = [value.conditions.get(name, (0.0, "")) for value in self.values]
-            if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
-                shown = [to_display(amount, display_unit(unit)) for amount, _ in amounts]
-                conditions[name] = (Axis(name, unit_text(unit)), np.array(shown))
+        for name, (unit, amounts) in weighted.variable_conditions(
+            [value.conditions for value in self.values]
+        ).items():
+            shown = np.array([to_display(amount, display_unit(unit)) for amount in amounts])
+            conditions[name] = (Axis(name, unit_text(unit)), shown)
         days = [day for value in self.values if (day := day_of(value.when))]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
             conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
         return conditions
+
+    def joint_conditions(self, condition: str) -> tuple[list[str], FloatArray]:
+        """Names, and amounts (n_condition, n) [axis units], of a condition and all others that tests tell
+        apart; of this one alone where they do not.
+        """
+        over = self.over()
+        names = [condition, *(name for name in over if name != condition)]
+        rows = np.array([over[name][1] for name in names])
+        number = len(names) if weighted.told_apart(rows) else 1
+        return names[:number], rows[:number]
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
@@ -165,12 +175,12 @@ N_TREND = 41
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
     """Values with their 95 % intervals over a condition; of three or more their weighted line, or parabola
-    of curved ones.
+    of curved ones, at the mean of the conditions that are told apart from it.
     """
     axis, x = series.over()[condition]
     low, high = series.intervals().T
     tests = dots("tests", x, series.show(), marker="o", size=4.0, bars=(low, high))
-    line, law = _line(series, x)
+    line, law = _line(series, condition)
     chart = stack([Panel(axis, series.axis, (*line, tests))], 3.0)
     caption = (
         f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted {law}, shaded: "
@@ -179,25 +189,28 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
     return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
 
 
-def _line(series: CoefficientSeries, x: FloatArray) -> tuple[tuple[Series, ...], str]:
-    """The line and what it is in words."""
-    line, powers, law = series.line_over(x), np.arange(2), "straight trend"
+def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...], str]:
+    names, rows = series.joint_conditions(condition)
+    x, law = rows[0], "straight trend" if len(names) == 1 else f"trend at the mean {' and '.join(names[1:])}"
+    line, columns = series.line_over(rows), weighted.straight_columns(rows)
     if line is None:
         return (), law
-    if line.curved:
-        powers, law = np.arange(3), "parabola, since the tests are curved"
-        values = series.show(), *series.parted_errors()
-        line = weighted.weighted_fit((x - np.mean(x))[:, None] ** powers, *values)
     drawn = np.linspace(x.min(), x.max(), N_TREND)
-    columns = (drawn - np.mean(x))[:, None] ** powers
-    middle = columns @ line.values
-    reach = np.array([line.reach(row) for row in columns])
+    along = np.zeros((N_TREND, columns.shape[1]))
+    along[:, 0], along[:, 1] = 1.0, drawn - np.mean(x)
+    if line.curved and len(set(x)) > 2:
+        law = f"parabola, since the tests are curved{law.removeprefix('straight ').removeprefix('trend')}"
+        columns = np.column_stack([columns, columns[:, 1] ** 2])
+        along = np.column_stack([along, along[:, 1] ** 2])
+        line = weighted.weighted_fit(columns, series.show(), *series.parted_errors())
+    middle = along @ line.values
+    reach = np.array([line.reach(row) for row in along])
     return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),), law
 
 
-def control_figure(series: CoefficientSeries, limits: weighted.ControlLimits) -> Figure:
+def control_figure(of: Adjusted) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
-    values = series.show()
+    series, values, limits = of.series, of.values, of.limits
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
     tests = curve("tests", places, values, marker=".", size=4.0)
@@ -206,7 +219,7 @@ def control_figure(series: CoefficientSeries, limits: weighted.ControlLimits) ->
     lines = (*([ringed] if outside else []), *control_lines(limits.centre, limits.low, limits.high))
     alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
     chart = stack([Panel(x, series.axis, (tests, *lines))], 3.0)
-    return Figure(chart, f"{series.title}: individuals chart; {CONTROL}.", alternative)
+    return Figure(chart, f"{series.title}{of.without}: individuals chart; {CONTROL}.", alternative)
 
 
 def sliding_overlays(results: Sequence[tuple[str, Identification]]) -> list[Figure]:
@@ -249,16 +262,19 @@ FEWEST = 3
 MOST_NAMED, MOST_COPIES = 2, 12
 EXPLAINED = (
     "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
-    "errors of the fits; where the tests scatter more than these say, the line's errors are enlarged, and of "
-    "those that bend off it a parabola is drawn (curved). "
-    "Differences are of each value from the weighted mean of the others. All p-values of one kind are "
+    "errors of the fits, over conditions that tests tell apart together, each slope at the others held; "
+    "where the tests scatter more than these say, the line's errors are enlarged, and of those that bend off "
+    "it a parabola is drawn (curved). Differences are of each value from the weighted mean of the others, or "
+    "from their trend over conditions where one is beyond chance. All p-values of one kind are "
     f"corrected together after Holm: at most {100 * LEVEL:g} % chance of any false alarm among them."
 )
 
 
 @dataclass(frozen=True)
 class Trend:
-    """The straight *line* of a series over a condition [display unit, and that of the condition]."""
+    """The straight *line* of a series [display unit], its second parameter the slope over a condition [that
+    per unit of the condition].
+    """
 
     series: CoefficientSeries
     condition: str
@@ -284,18 +300,20 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     trends = [
         Trend(coefficient, name, line)
         for coefficient in series
-        for name, (_, x) in coefficient.over().items()
-        if (line := coefficient.line_over(x)) is not None
+        for name in coefficient.over()
+        if (line := coefficient.line_over(coefficient.joint_conditions(name)[1])) is not None
     ]
-    differences = _find_apart(series)
     corrected = holm(np.array([trend.line.p_of(1) for trend in trends]))
+    steep = [trend for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
+    adjusted = [_adjust(coefficient, steep) for coefficient in series]
+    differences = _find_apart(adjusted)
     sections = (
-        Section("Verdict", (*_verdict(series, trends, corrected, differences), *_left_out(copies))),
+        Section("Verdict", (*_verdict(adjusted, trends, corrected, differences), *_left_out(copies))),
         Section("Results", (_results(results),)),
         *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends, corrected)))] if trends else []),
         *(
-            Section(coefficient.title, _blocks(coefficient, apart))
-            for coefficient, apart in zip(series, differences, strict=True)
+            Section(of.series.title, _blocks(of, apart))
+            for of, apart in zip(adjusted, differences, strict=True)
         ),
         *([Section("Over frequency", tuple(overlays))] if overlays else []),
         Section("Provenance", _provenance(results)),
@@ -311,9 +329,53 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
 Apart = tuple[FloatArray, FloatArray]
 
 
-def _find_apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
+@dataclass(frozen=True)
+class Adjusted:
+    """A *series* without its trends beyond chance over *conditions* other than the date: *columns* (n,
+    n_parameter) of these trends, *values* (n,) [display unit] as they were at the mean conditions.
+    """
+
+    series: CoefficientSeries
+    conditions: tuple[str, ...]
+    columns: FloatArray
+    values: FloatArray
+
+    @property
+    def limits(self) -> weighted.ControlLimits:
+        return weighted.control_limits(self.values)
+
+    @property
+    def outside(self) -> list[str]:
+        """Labels of the tests beyond the limits."""
+        return [self.series.values[place].label for place in self.limits.outside]
+
+    @property
+    def without(self) -> str:
+        """What was taken off, in words."""
+        return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
+
+
+def _adjust(series: CoefficientSeries, steep: Sequence[Trend]) -> Adjusted:
+    """Of curved values with squares and products of the conditions, as far as these are determined."""
+    values, over = series.show(), series.over()
+    trends = [of for of in steep if of.series is series and of.condition != "date"]
+    if not trends:
+        return Adjusted(series, (), np.ones((values.size, 1)), values)
+    names = tuple(of.condition for of in trends)
+    rows = np.array([over[name][1] for name in names])
+    # Trends over conditions that are not told apart from each other are one.
+    number = len(names) if weighted.told_apart(rows) else 1
+    columns = weighted.straight_columns(rows[:number])
+    columns /= np.max(np.abs(columns), axis=0)
+    if any(of.line.curved for of in trends):
+        columns = weighted.bent_columns(columns)
+    slopes = weighted.weighted_fit(columns, values, *series.parted_errors()).values[1:]
+    return Adjusted(series, names[:number], columns, values - columns[:, 1:] @ slopes)
+
+
+def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
     """Of every series, NaN where its values have no errors. All are corrected together."""
-    each = [_from_the_rest(coefficient) for coefficient in series]
+    each = [_from_the_rest(of) for of in series]
     corrected = [p for _, p in each]
     tested = [number for number, p in enumerate(corrected) if np.all(np.isfinite(p))]
     if tested:
@@ -325,22 +387,19 @@ def _find_apart(series: Sequence[CoefficientSeries]) -> list[Apart]:
     return [(difference, p) for (difference, _), p in zip(each, corrected, strict=True)]
 
 
-def _from_the_rest(coefficient: CoefficientSeries) -> Apart:
+def _from_the_rest(of: Adjusted) -> Apart:
     try:
-        return weighted.from_the_rest(coefficient.show(), *coefficient.parted_errors())
+        return weighted.from_the_rest(of.series.show(), *of.series.parted_errors(), of.columns)
     except FitError:
-        unknown = np.full(len(coefficient.values), np.nan)
+        unknown = np.full(of.values.size, np.nan)
         return unknown, unknown
 
 
 def _verdict(
-    series: Sequence[CoefficientSeries],
-    trends: Sequence[Trend],
-    corrected: FloatArray,
-    differences: Sequence[Apart],
+    series: Sequence[Adjusted], trends: Sequence[Trend], corrected: FloatArray, differences: Sequence[Apart]
 ) -> tuple[Block, ...]:
-    charted = [coefficient for coefficient in series if len(coefficient.values) >= FEWEST]
-    labels = [(coefficient.title, _outside(coefficient)) for coefficient in charted]
+    charted = [of for of in series if of.values.size >= FEWEST]
+    labels = [(of.series.title + of.without, of.outside) for of in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
     steep = [trend.name for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
     n_apart = sum(int(np.sum(p < LEVEL)) for _, p in differences)
@@ -357,9 +416,11 @@ def _verdict(
     if trends:
         sentence = f"Trends beyond chance, of {len(trends)} looked at: {'; '.join(steep) or 'none'}."
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
-        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in trends if of.line.curved]
+        # Conditions that are fitted together have one curvature.
+        bent = {(of.series.title, of.line.curved): of for of in reversed(trends) if of.line.curved}
+        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
     if series:
-        values = sum(len(coefficient.values) for coefficient in series)
+        values = sum(of.values.size for of in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
         blocks.append(Paragraph(sentence, "warning" if n_apart else "note"))
     return tuple(blocks)
@@ -369,10 +430,6 @@ def _left_out(copies: Sequence[str]) -> tuple[Block, ...]:
     which = few(copies, MOST_COPIES, "; ")
     text = f"A recording counts once; left out, since others are of the same: {which}."
     return (Paragraph(text, "note"),) if copies else ()
-
-
-def _outside(coefficient: CoefficientSeries) -> list[str]:
-    return [coefficient.values[place].label for place in weighted.control_limits(coefficient.show()).outside]
 
 
 def _results(results: Sequence[tuple[str, Identification]]) -> Table:
@@ -414,7 +471,8 @@ def _slope_unit(trend: Trend) -> str:
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
-def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
+def _blocks(of: Adjusted, apart: Apart) -> tuple[Block, ...]:
+    coefficient = of.series
     bands = dict.fromkeys(
         f"{low:g}-{high:g} Hz" for low, high in (value.band_hz for value in coefficient.values)
     )
@@ -424,17 +482,18 @@ def _blocks(coefficient: CoefficientSeries, apart: Apart) -> tuple[Block, ...]:
         blocks.append(Paragraph(f"{what} Their values may differ by the bands alone.", "warning"))
     blocks += [trend_figure(coefficient, condition) for condition in coefficient.over()]
     if len(coefficient.values) >= FEWEST:
-        limits, n = weighted.control_limits(coefficient.show()), len(coefficient.values)
-        outside = "; ".join(_outside(coefficient))
+        limits, n = of.limits, of.values.size
+        outside = "; ".join(of.outside)
         which = f"outside: {outside}" if outside else "no value lies outside"
         centre, _, low, high = write_values(limits.centre, limits.rounding, limits.low, limits.high)
         ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
-        suppose = "The limits suppose that all tests are of one condition."
+        suppose = "The limits suppose that all tests are of one condition"
+        suppose += f", {of.without.lstrip(', ')}." if of.without else "."
         text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
         if n < weighted.SETTLED:
             text += f" With {n} values, fewer than {weighted.SETTLED}, the limits are provisional."
         blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
-        blocks.append(control_figure(coefficient, limits))
+        blocks.append(control_figure(of))
     return (*blocks, _value_table(coefficient, apart))
 
 

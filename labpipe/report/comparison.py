@@ -312,7 +312,6 @@ EXPLAINED = {
 
 
 def comparison_sections(comparisons: Comparisons, identification: Identification) -> tuple[Section, ...]:
-    """One section for every comparison of tests."""
     responses = identification.responses
     return tuple(
         Section(f"Comparison: {part.name}", comparison_blocks(part, responses)) for part in comparisons

@@ -48,7 +48,6 @@ def scale_of(si_unit: str) -> float:
 def over_frequency(
     y: chart.Axis, series: Sequence[chart.Series], share: float = 1.0, title: str = ""
 ) -> chart.Panel:
-    """A panel over frequency."""
     return chart.Panel(FREQUENCY, y, tuple(series), title, share=share)
 
 

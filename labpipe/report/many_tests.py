@@ -52,7 +52,6 @@ def over_tests(columns: TestColumns, limits: ControlLimits) -> Figure:
 
 
 def over_amount(columns: TestColumns, condition: str) -> Figure:
-    """The values over a condition."""
     unit, amounts = columns.amounts[condition]
     there = np.isfinite(columns.values) & np.isfinite(amounts)
     values, shown = _in_unit(columns, columns.values[there])

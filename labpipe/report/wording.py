@@ -100,7 +100,6 @@ def fit_title(fit: Fit) -> str:
 
 
 def band_text(fit: Fit) -> str:
-    """The band as a range."""
     return f"{fit.band_hz[0]:g}–{fit.band_hz[1]:g} Hz"
 
 

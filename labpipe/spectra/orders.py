@@ -147,13 +147,15 @@ def plane_track(track: OrderTrack, plane: Plane) -> OrderTrack:
     """
     to_xy = np.linalg.inv(plane.directions)
     turn = np.linalg.inv(FROM_DIRECTIONAL) @ to_xy
-    columns = list(plane.columns)
+    columns, taken = list(plane.columns), {port.label for port in track.ports}
+    # Probes may be called f and b as well.
+    named = replace(plane, name=plane.name or "circle" * (not taken.isdisjoint(FORWARD_BACKWARD)))
     amplitude = track.amplitude[:, columns] @ turn.T
     return replace(
         track,
         amplitude=amplitude,
         variance=track.variance[:, columns] @ (np.abs(turn) ** 2).T,
-        ports=tuple(Port(plane.label(circle), circle, circle) for circle in FORWARD_BACKWARD),
+        ports=tuple(Port(named.label(circle), circle, circle) for circle in FORWARD_BACKWARD),
         overall=np.abs(amplitude),
         orbit=track.orbit[:, [track.planes.index(plane)]],
         mean=track.mean[:, columns] @ to_xy.T,

@@ -12,6 +12,7 @@ from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, FitError
 from labpipe.quantities import UnitError, si_amount
 from labpipe.records.comparison import ComparedPoint, Comparison
+from labpipe.records.dataset import amount_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.registry import nearest
@@ -217,7 +218,11 @@ def _condition(name: str, test: str, conditions: Mapping[str, Any]) -> str:
 
 def group_of(settings: CompareSettings, test: str, conditions: Mapping[str, Any]) -> str:
     if settings.group:
-        return _condition(settings.group, test, conditions)
+        written = _condition(settings.group, test, conditions)
+        # 30degC of a file's name is 30 degC.
+        amount = amount_of(written)
+        alike = (of for of in settings.groups if of == written or (amount and amount_of(of) == amount))
+        return next(alike, written)
     return test if settings.groups else ""
 
 

@@ -5,6 +5,7 @@ outliers.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +27,8 @@ from labpipe.uncertainty.observations import Campaign
 SCATTER_LEVEL = 0.05
 # p-value below which squares take what a line or a plane leaves, and the fewest degrees of freedom that tell.
 CURVED_LEVEL, FEWEST_LEFT = 1e-3, 2
+# Variance inflation of a condition above which tests do not tell it from the others.
+MOST_INFLATED = 5.0
 
 
 @dataclass(frozen=True)
@@ -346,20 +349,51 @@ def control_limits(values: FloatArray) -> ControlLimits:
 
 
 def straight_trend(
-    condition: FloatArray,
+    conditions: FloatArray,
     values: FloatArray,
     errors: FloatArray,
     changes: FloatArray | None = None,
     dofs: FloatArray | float = np.inf,
 ) -> WeightedFit:
-    """value = level + slope (x - mean x) of values (n,) [any unit], errors and sources as of `weighted_fit`.
-    FitError for fewer than three. Equation (comp-straight).
+    """value = level + slope (x - mean x) of values (n,) [any unit] over a condition (n,), or several
+    (n_condition, n) with a slope each; errors and sources as of `weighted_fit`. FitError for fewer than
+    three. Equation (comp-straight).
     """
     if values.size < 3:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
-    columns = np.column_stack([np.ones_like(condition), condition - np.mean(condition)])
-    fit = weighted_fit(columns, values, errors, changes, dofs)
-    return replace(fit, curved=curvature_text(condition, values, errors, changes, fit.values[0]))
+    fit = weighted_fit(straight_columns(conditions), values, errors, changes, dofs)
+    return replace(fit, curved=curvature_text(conditions, values, errors, changes, fit.values[0]))
+
+
+def straight_columns(conditions: FloatArray) -> FloatArray:
+    """1 and x - mean x (n, 1 + n_condition) of conditions (n,), or (n_condition, n) [any unit]."""
+    rows = np.atleast_2d(conditions)
+    return np.vstack([np.ones(rows.shape[1]), rows - rows.mean(axis=1, keepdims=True)]).T
+
+
+def variable_conditions(
+    tests: Sequence[Mapping[str, tuple[float, str]]],
+) -> dict[str, tuple[str, list[float]]]:
+    """Of the conditions of *tests*, value and unit by name, those that all have and that differ between them:
+    unit and values (n,) [that unit] by name.
+    """
+    found = {}
+    for name, (_, unit) in tests[0].items():
+        amounts = [conditions.get(name, (0.0, "")) for conditions in tests]
+        if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
+            found[name] = unit, [amount for amount, _ in amounts]
+    return found
+
+
+def told_apart(conditions: FloatArray) -> bool:
+    """Whether tests tell what each of several conditions (n_condition, n) [any unit] does: those that
+    moved with the others, their variance inflation above 5, and too few tests do not.
+    """
+    n_condition, n = conditions.shape
+    correlation = np.atleast_2d(np.corrcoef(conditions))
+    if n < n_condition + 1 + FEWEST_LEFT or np.linalg.matrix_rank(correlation, tol=1e-9) < n_condition:
+        return False
+    return bool(np.max(np.diag(np.linalg.inv(correlation))) <= MOST_INFLATED)
 
 
 def trend_verdict(slope: float, curved: str, *, sure: bool) -> str:
@@ -385,9 +419,7 @@ def curvature_text(
         [np.ones(values.size), *(2 * (rows - rows.min(axis=1, keepdims=True)) / span - 1)]
     )
     n_flat = columns.shape[1]
-    for first, second in itertools.combinations_with_replacement(range(1, n_flat), 2):
-        extended = np.column_stack([columns, columns[:, first] * columns[:, second]])
-        columns = extended if np.linalg.matrix_rank(extended) > columns.shape[1] else columns
+    columns = bent_columns(columns)
     n_bent = columns.shape[1] - n_flat
     if not n_bent or values.size < columns.shape[1] + FEWEST_LEFT:
         return ""
@@ -405,13 +437,24 @@ def curvature_text(
     return f"curved, in the middle {deviation:.2g} % {side} the chord {because} straight line does not hold"
 
 
+def bent_columns(columns: FloatArray) -> FloatArray:
+    """*columns* (n, 1 + n_condition) [any unit] of a plane, with squares and products that are determined."""
+    n_flat = columns.shape[1]
+    for first, second in itertools.combinations_with_replacement(range(1, n_flat), 2):
+        extended = np.column_stack([columns, columns[:, first] * columns[:, second]])
+        columns = extended if np.linalg.matrix_rank(extended) > columns.shape[1] else columns
+    return columns
+
+
 def from_the_rest(
     values: FloatArray,
     errors: FloatArray,
     changes: FloatArray | None = None,
     dofs: FloatArray | float = np.inf,
+    columns: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, and p-values.
+    """Difference (n,) [unit of the values] of every value from the weighted mean of all others, or from their
+    trend by *columns* (n, n_parameter), and p-values.
 
     Where the others scatter more than their errors, all have that spread, and the p-values are Student's.
     Two values give one test. *errors* (n,), or the covariance (n, n) of values with errors in common, or
@@ -424,18 +467,21 @@ def from_the_rest(
     joint = joint_errors(errors, changes)
     joint = np.diag(joint**2) if joint.ndim == 1 else joint
     differences, chances = np.empty(values.size), np.empty(values.size)
+    columns = np.ones((values.size, 1)) if columns is None else columns
     for n in range(values.size):
         others = np.arange(values.size) != n
         covariance = joint[np.ix_(others, others)]
-        others_mean = weighted_mean(values[others], covariance)
+        others_mean = weighted_fit(columns[others], values[others], covariance)
         covariance = covariance + others_mean.spread * np.eye(values.size - 1)
-        # The weights of the values in their generalised least-squares mean.
-        weights = np.linalg.solve(covariance, np.ones(values.size - 1))
-        weights /= weights.sum()
+        # The weights of the values in what their generalised least squares make of this one.
+        weights = np.linalg.solve(covariance, columns[others]) @ others_mean.covariance @ columns[n]
         with_mean = float(weights @ joint[others, n])
-        variance = joint[n, n] - 2 * with_mean + others_mean.spread + others_mean.covariance
-        difference = replace(others_mean, values=values[[n]] - others_mean.values, covariance=variance)
+        variance = joint[n, n] - 2 * with_mean + others_mean.spread
+        variance = np.atleast_2d(variance + columns[n] @ others_mean.covariance @ columns[n])
+        known = np.atleast_2d(columns[n] @ others_mean.known @ columns[n])
+        apart = values[[n]] - columns[n] @ others_mean.values
         by_sources = (changes[:, n] - changes[:, others] @ weights)[None]
+        difference = replace(others_mean, values=apart, covariance=variance, known=known)
         difference = replace(difference, moved=by_sources, moved_dof=dofs)
         differences[n], chances[n] = difference.values[0], difference.p_of(0)
     return differences, chances

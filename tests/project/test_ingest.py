@@ -280,6 +280,26 @@ def test_a_sound_recording_has_no_findings(tmp_path: Path) -> None:
 # freshness
 
 
+def test_a_shaft_at_rest_is_no_dead_channel(tmp_path: Path) -> None:
+    """Neither pulses nor a speed vary at rest; a displacement that does not is named."""
+    channels = "".join(
+        f"  {name}: {{quantity: {quantity}, unit: {unit}}}\n"
+        for name, quantity, unit in (
+            ("key", "tacho", "V"),
+            ("n", "speed", "rpm"),
+            ("x", "displacement", "um"),
+            ("y", "displacement", "um"),
+        )
+    )
+    rows = np.zeros((50, 4))
+    rows[:, 3] = np.sin(np.arange(50.0))
+    recording = ingested(
+        tmp_path, csv_file(tmp_path, ["key", "n", "x", "y"], rows), rig_file(tmp_path, channels)
+    )
+    (found,) = recording.findings
+    assert (found.code, found.message) == ("constant", "channel x does not vary at all")
+
+
 def test_a_fresh_recording_is_left_alone_and_a_stale_one_is_made_again(tmp_path: Path) -> None:
     rows = np.random.default_rng(8).normal(size=(20, 2))
     raw, rig = csv_file(tmp_path, TWO, rows), rig_file(tmp_path)

@@ -26,7 +26,9 @@ from labpipe.report.campaign import campaign_document, coefficient_series, slidi
 from labpipe.report.document import Figure, Paragraph, Table
 
 
-def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0)) -> Identification:
+def one_result(
+    k: float, preload: str, day: str, band: tuple[float, float] = (1.0, 9.0), **others: str
+) -> Identification:
     parameter = Parameter(
         "k", k, "N/m", std_error=50.0, t_ratio=k / 50, ci95=(k - 98.0, k + 98.0), significant=True
     )
@@ -45,7 +47,7 @@ def one_result(k: float, preload: str, day: str, band: tuple[float, float] = (1.
         correlation=np.ones((1, 1)),
         test="run",
     )
-    settings = {"tests": [{"name": "run", "conditions": {"preload": preload, "date": day}}]}
+    settings = {"tests": [{"name": "run", "conditions": {"preload": preload, "date": day, **others}}]}
     return Identification(
         (fit,),
         "Campaign",
@@ -264,3 +266,47 @@ def test_a_bent_coefficient_is_curved_in_verdict_table_and_figure() -> None:
     line = next(of for of in figure.graphic.panels[0].series if of.name == "trend")
     assert "parabola" in figure.caption
     assert line.x[int(np.argmin(line.y))] == pytest.approx(400, abs=10)
+
+
+def two_conditions(off: float = 0.0) -> list[tuple[str, Identification]]:
+    """k = 10000 + 20 (preload - 450) - 40 (oil - 40) N/m with errors of 50 N/m, of four preloads and two oils
+    by turns in their order; one value is off.
+    """
+    rng, results = np.random.default_rng(1), []
+    for n, preload in enumerate(3 * [300, 400, 500, 600]):
+        for oil in (30, 50):
+            k = 1e4 + 20 * (preload - 450) - 40 * (oil - 40) + 50 * rng.standard_normal()
+            k += off * (n == 6 and oil == 50)
+            results.append((f"r{n}-{oil}", one_result(k, f"{preload} N", "none", oil=f"{oil} degC")))
+    return results
+
+
+def test_conditions_are_told_apart_and_what_they_do_is_not_out_of_control() -> None:
+    """Slopes in closed form, +20 N/m/N and -40 N/m/K: each at the other held. Values that follow them are in
+    control, and one that is six errors off what they say is named.
+    """
+    sound = told(two_conditions())
+    assert "In control" in sound and "0 of 24 values differ" in sound
+    assert "k of direct over preload; k of direct over oil" in sound
+    assert "of one condition, less its trend over preload and oil" in sound
+    blocks = [b for section in campaign_document(two_conditions()).sections for b in section.blocks]
+    (trends,) = [b for b in blocks if isinstance(b, Table) and "trends" in b.caption]
+    for row, expected in zip(trends.rows, (0.02, -0.04), strict=True):
+        low, high = (float(end) for end in row[4].replace("−", "-").split(" to "))
+        assert low < expected < high and high - low < 0.01 and row[7] == "yes"
+    drawn = [b for b in blocks if isinstance(b, Figure) and "trend at the mean" in b.caption]
+    assert len(drawn) == 2
+    bad = told(two_conditions(off=350.0))
+    assert "OUT OF CONTROL" in bad and "outside: r6-50, run" in bad and "1 of 24 values differ" in bad
+
+
+def test_conditions_that_moved_together_are_not_told_apart() -> None:
+    """Preload and oil in one proportion: each alone, with a slope beyond chance, and one taken off."""
+    values = [1e4 + 20 * n for n in range(12)]
+    results = [
+        (f"r{n}", one_result(k, f"{400 + 10 * n} N", "none", oil=f"{30 + n} degC"))
+        for n, k in enumerate(values)
+    ]
+    text = told(results)
+    assert "Trends beyond chance, of 2 looked at: k of direct over preload; k of direct over oil" in text
+    assert "In control" in text and "less its trend over preload." in text

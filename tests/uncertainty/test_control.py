@@ -7,7 +7,13 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
-from labpipe.uncertainty.weighted import control_limits, from_the_rest, straight_trend
+from labpipe.uncertainty.weighted import (
+    control_limits,
+    from_the_rest,
+    straight_columns,
+    straight_trend,
+    told_apart,
+)
 
 
 def test_limits_of_an_individuals_chart_by_hand() -> None:
@@ -72,3 +78,27 @@ def test_too_few_values_are_refused() -> None:
             refused()
     with pytest.raises(FitError):
         straight_trend(np.arange(2.0), np.ones(2), np.ones(2))
+
+
+def test_an_outlier_beside_a_trend_is_held_against_the_trend_of_the_others() -> None:
+    """y = 3 + 2 x with errors of 0.1: of 400 draws 5 % of p-values lie below 5 % (binomial +- 1.1 %, three of
+    them, of 6 x 400 that hang together); exact values but one off by 1: its difference is 1, by all others.
+    """
+    rng, x = np.random.default_rng(8), np.arange(6.0)
+    columns, y = straight_columns(x), 3 + 2 * x
+    draws = [
+        from_the_rest(y + rng.normal(0, 0.1, 6), np.full(6, 0.1), columns=columns)[1] for _ in range(400)
+    ]
+    assert abs(np.mean(np.concatenate(draws) < 0.05) - 0.05) < 0.033
+    difference, chances = from_the_rest(y + (x == 3), np.full(6, 0.1), columns=columns)
+    assert difference[3] == pytest.approx(1.0) and np.argmin(chances) == 3 and chances[3] < 1e-15
+
+
+def test_conditions_are_told_apart_by_their_variance_inflation() -> None:
+    """1 / (1 - r^2) of two conditions: 5 at r = .894."""
+    x, other = np.arange(8.0) - 3.5, np.array([1.0, -1, -1, 1, 1, -1, -1, 1])
+    other -= x * (x @ other) / (x @ x)
+    other *= np.linalg.norm(x) / np.linalg.norm(other)
+    for r, told in ((0.0, True), (0.89, True), (0.9, False), (1.0, False)):
+        assert told_apart(np.array([x, r * x + np.sqrt(1 - r**2) * other])) == told
+    assert not told_apart(np.array([[0.0, 1, 2, 3], [1.0, 0, 0, 1]]))

@@ -105,6 +105,16 @@ def test_without_a_condition_groups_are_compared_as_they_are(campaign) -> None:
     )
 
 
+def test_groups_are_the_same_amount_however_it_is_written(campaign) -> None:
+    """30degC, as a file's name has it, is 30 degC and 303.15 K: 11 against 10 is .1."""
+    settings = CompareSettings(kind="difference", fit="axial", group="oil", groups=("303.15 K", "50 degC"))
+    given = [
+        (value, 0.1, {"oil": oil})
+        for oil, value in (("30degC", 10.0), ("30 degC", 10.0), ("50degC", 11.0), ("50degC", 11.0))
+    ]
+    assert difference(campaign(settings, given)).amount("difference").value == pytest.approx(0.1, rel=1e-9)
+
+
 def test_groups_that_are_not_there_are_named(campaign) -> None:
     k = stiffness()
     wrong = CompareSettings(

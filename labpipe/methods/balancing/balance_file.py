@@ -283,7 +283,8 @@ class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
-    weights that would leave nothing, none where readings are fewer than planes.
+    weights that would leave nothing, none where readings are fewer than planes. *mirrored*: since their
+    angles count in the other sense than those of the weights.
     """
 
     file: BalanceFile
@@ -294,6 +295,7 @@ class Balanced:
     next_runs: dict[str, float]
     widened: float = 1.0
     intervals: tuple[WeightInterval, ...] = ()
+    mirrored: bool = False
 
     @property
     def permissible(self) -> float | None:
@@ -327,7 +329,15 @@ def balance(file: BalanceFile) -> Balanced:
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
     intervals = weight_intervals(knowledge, weights)
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals)
+    mirrored = bool(unlikely) and _agree_mirrored(file)
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mirrored)
+
+
+def _agree_mirrored(file: BalanceFile) -> bool:
+    """Whether the readings agree with weights, and a model, where their angles count in the other sense."""
+    runs = [replace(run, readings=run.readings.conj()) for run in file.runs]
+    known = influence(runs, file.noise, file.prior)
+    return chi2_tail(known.misfit, known.dof) >= UNLIKELY
 
 
 def _choose_weights(
@@ -396,5 +406,6 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "widened": result.widened,
+        "mirrored": result.mirrored,
         "next_runs": dict(result.next_runs),
     }

@@ -93,10 +93,16 @@ def sentences(result: Balanced) -> Iterator[str]:
             "weights are known less well (`weight_uncertainty`). All intervals count "
             f"{result.widened:.3g} times the stated noise"
         )
+        if result.mirrored:
+            yield (
+                "warning: the readings agree where their angles are counted in the other sense than those of "
+                "the weights; the weights above are wrong then"
+            )
     elif not knowledge.dof:
         yield (
-            "note: no run is to spare, so that nothing shows whether readings scatter as stated, and all "
-            "intervals rest on the stated noise: one of the runs once more would show it"
+            "note: no run is to spare, so that nothing shows whether readings scatter as stated and count "
+            "their angles as weights do, and all intervals rest on the stated noise: one run more, with "
+            "other weights, would show both"
         )
     best = min(result.next_runs, key=lambda name: result.next_runs[name])
     least = result.next_runs[best]

@@ -259,7 +259,9 @@ class RollingSettings(Settings, ABC):
     elements: int = setting("integer", "number of rolling elements")
     name: str = text("name of the bearing")
     contact_angle: float = quantity("unloaded contact angle", "rad", 0.0)
-    clearance: float = quantity("radial clearance, half the diametral one; negative: interference", "m", 0.0)
+    clearance: float = quantity(
+        "radial clearance, half of ISO 5753's, which is diametral; negative: interference", "m", 0.0
+    )
     cage_angle: float = quantity("angle of the first element from x", "rad", 0.0)
     damping_factor: float = quantity("beta of the stiffness-proportional damping C = beta K", "s", 0.0)
     pitch_radius: float | None = quantity("radius of the groove centres (balls) or roller centres", "m", None)

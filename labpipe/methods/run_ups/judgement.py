@@ -24,6 +24,8 @@ STIFFNESSES = np.geomspace(1e-12, 1.0, 37)
 CLEAR, SMALL = 8.0, 0.05
 # Fewest speeds for a curve, and in the band of the slow roll.
 FEWEST, FEWEST_SLOW = 12, 4
+# Standard size of what damping adds to the rise of slow speeds, twice the damping ratio, as a share of it.
+TURNED = 0.3
 # What half as many readings change is at least so many times the error of a cubic spline through all of them.
 HALVED = 8.0
 # Half-power widths beside the half-power speeds in which one mode is fitted, fewest readings and largest
@@ -82,9 +84,9 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class RunUpJudgement:
-    """What a run-up shows [m, or the unit of the probes]: *slow_roll* (n_probe,) that was taken out, peaks,
-    sensitivities; *curve* (n_fine, n_probe) of amplitudes over *fine* (n_fine,) [Hz] with the *ends* (2,
-    n_fine, n_probe) of its 95 % interval; *speed_range* [Hz].
+    """What a run-up shows [m, or the unit of the probes]: *slow_roll* (n_probe,) that was taken out, with its
+    variance E|ds|^2, peaks, sensitivities; *curve* (n_fine, n_probe) of amplitudes over *fine* (n_fine,) [Hz]
+    with the *ends* (2, n_fine, n_probe) of its 95 % interval; *speed_range* [Hz].
     """
 
     probes: tuple[str, ...]
@@ -95,6 +97,7 @@ class RunUpJudgement:
     curve: FloatArray
     ends: FloatArray
     speed_range: tuple[float, float] | None
+    slow_roll_variance: FloatArray | float = 0.0
 
     @property
     def accepted(self) -> bool:
@@ -142,7 +145,7 @@ def judge(
     smooth = _Smooth(speed, readings, deviation)
     # The first is the reading itself.
     curves = recorded = np.concatenate([smooth.fitted[None], smooth.draw(rng)])
-    rolled = None
+    rolled, unknown = None, 0.0
     if slow_roll is not None:
         whole = np.abs(smooth.fitted)
         tops = [
@@ -152,6 +155,7 @@ def judge(
         ]
         offsets = _slow_roll(speed, readings, slow_roll, smooth.fine[min(tops, default=-1)], rng)
         rolled, curves = offsets[0], curves - offsets[:, None, :]
+        unknown = np.mean(np.abs(offsets[1:] - rolled) ** 2, axis=0)
     amplitude = np.abs(curves)
     labels = tuple(port.label for port in track.ports)
     rate = np.gradient(track.speed, track.time)
@@ -173,9 +177,8 @@ def judge(
         else ()
     )
     ends = np.percentile(amplitude[1:], (2.5, 97.5), axis=0)
-    return RunUpJudgement(
-        labels, rolled, tuple(judged_peaks), sensitivities, smooth.fine, amplitude[0], ends, speed_range
-    )
+    judged = tuple(judged_peaks), sensitivities, smooth.fine, amplitude[0], ends, speed_range
+    return RunUpJudgement(labels, rolled, *judged, unknown)
 
 
 def _sort_by_speed(track: OrderTrack) -> tuple[FloatArray, ComplexArray, FloatArray]:
@@ -252,24 +255,30 @@ def _slow_roll(
     rng: np.random.Generator,
 ) -> ComplexArray:
     """s of z = s + a Omega^2 / (1 - Omega^2 / Omega_c^2) in the band, below the first *critical* speed [Hz]
-    or the end of the run, and draws of it, (1 + DRAWS, n_probe).
+    or the end of the run, and what damping adds in first order, and draws of it, (1 + DRAWS, n_probe).
     """
     slow = (speed >= band[0]) & (speed <= band[1])
     if slow.sum() < FEWEST_SLOW:
         hint = f"{FEWEST_SLOW} at least; the run begins at {60 * speed[0]:.0f} rpm"
         raise ConfigError(f"--slow-roll: {int(slow.sum())} stretches of the run lie in it", hint=hint)
-    square = (speed[slow] / critical) ** 2
+    ratio = speed[slow] / critical
     # A peak so near to slow speeds that it has made a force half as much again is none to go by.
-    design = np.column_stack([np.ones(slow.sum()), square / (1 - square) if square[-1] < 1 / 3 else square])
-    fitted = np.linalg.lstsq(design, readings[slow], rcond=None)[0]
-    left = readings[slow] - design @ fitted
-    variance = np.sum(np.abs(left) ** 2, axis=0) / (slow.sum() - 2) * np.linalg.inv(design.T @ design)[0, 0]
+    left = 1 - ratio**2 if ratio[-1] ** 2 < 1 / 3 else 1.0
+    design = np.column_stack([np.ones(ratio.size), ratio**2 / left, ratio**3 / left**2])
+    rise, scatter = np.linalg.lstsq(design[:, :2], readings[slow], rcond=None)[:2]
+    variance = np.maximum(scatter / (ratio.size - 2), 1e-300)
+    # Damping and modes near by turn the rise by no more than a share of it, which readings may tell.
+    precision = np.zeros((variance.size, 3, 3))
+    precision[:, 2, 2] = variance / np.maximum(TURNED * np.abs(rise[1]), 1e-300) ** 2
+    inverse = np.linalg.inv(design.T @ design + precision)
+    middle = np.einsum("pj,jp->p", inverse[:, 0], design.T @ readings[slow])
+    variance = variance * inverse[:, 0, 0]
     shape = (DRAWS, readings.shape[1])
     noise = np.sqrt(variance / 2) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     # Few stretches tell their own scatter: Student's t.
     dof = 2 * (int(slow.sum()) - 2)
     noise = noise * np.sqrt(dof / rng.chisquare(dof, shape))
-    return np.concatenate([fitted[:1], fitted[0] + noise])
+    return np.concatenate([middle[None], middle + noise])
 
 
 def _estimate(value: float, draws: Sequence[float]) -> IntervalEstimate:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ MOST_COLUMNS = 4
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
 # Share of the gap beyond which an orbit is reported, unless stated.
 LIMIT = 0.2
+# Share of the speeds at which unbalance hardly makes a plane whirl against the shaft.
+MOSTLY = 0.7
 # Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
@@ -143,7 +145,8 @@ def orbit_series_figure(name: str, circles: OrderTrack, quantity: str) -> Figure
     graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 2.0 * rows + 0.4), "xy", "none")
     return Figure(
         graphic,
-        f"{name}: orbits of order {circles.order:g}{where}; the dot marks the tacho's pulse.",
+        f"{name}: orbits of order {circles.order:g}{where}, from x to y (forward) or backward; the dot marks "
+        "the tacho's pulse.",
         f"Orbits of {name}{where}",
     )
 
@@ -157,9 +160,8 @@ def _orbit(circles: OrderTrack, row: int, unit: str, factor: float) -> chart.Pan
         chart.curve("orbit", path.real, path.imag),
         chart.dots("pulse", path.real[:1], path.imag[:1], 1, marker="o"),
     )
-    return chart.Panel(
-        chart.Axis("x", unit), chart.Axis("y", unit), series, f"{60 * circles.speed[row]:.0f} rpm", equal=True
-    )
+    title = f"{60 * circles.speed[row]:.0f} rpm{', backward' * bool(abs(backward) > abs(forward))}"
+    return chart.Panel(chart.Axis("x", unit), chart.Axis("y", unit), series, title, equal=True)
 
 
 def judged_figure(name: str, verdict: RunUpJudgement, quantity: str) -> Figure:
@@ -226,6 +228,15 @@ class TrackedRun:
     def speeds(self) -> FloatArray:
         """Speed of every stretch (n_stretch,) [rpm]."""
         return 60 * self.track.speed
+
+    def without_slow_roll(self, verdict: RunUpJudgement | None) -> TrackedRun:
+        """The order less the slow roll of a *verdict*; the whole motion stays as recorded."""
+        if verdict is None or verdict.slow_roll is None:
+            return self
+        track = self.track
+        left, unknown = track.amplitude - verdict.slow_roll, track.variance + verdict.slow_roll_variance
+        track = replace(track, amplitude=left, variance=unknown)
+        return replace(self, track=track, circles=tuple(plane_track(track, p) for p in track.planes))
 
 
 def track_run(
@@ -309,6 +320,11 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             if track is run.track:
                 line += f"; whole motion {factor * np.max(track.overall[:, number]):.4g}"
             yield line
+    for circles in run.circles:
+        backward, (plane,) = np.mean(np.diff(np.abs(circles.amplitude)) > 0), circles.planes
+        if run.track.order == 1 and backward > MOSTLY:
+            what = f"whirls backward at {100 * backward:.0f} % of the speeds: if the shaft turns from y to x"
+            yield f"{plane.name:<8} {what}, exchange the two dofs in the rig file"
     if run.clearance is None:
         return
     gap, share = run.clearance.gap, run.clearance.limit
@@ -399,7 +415,6 @@ def track_and_write(
             if before.probes != run.probes:
                 hint = "record both with one rig"
                 raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
-        table = None if conditions is None else run_up_table(run, *conditions, before)
         verdict = None
         if is_judged:
             verdict = judge(
@@ -409,6 +424,10 @@ def track_and_write(
                 unbalance=added,
                 baseline=None if before is None else before.track,
             )
+        # That of a baseline is the same and cancels.
+        whole, run = run, run.without_slow_roll(verdict)
+        saved_run = run if before is None else whole
+        table = None if conditions is None else run_up_table(saved_run, *conditions, before)
         names = write_tracked(run, verdict, folder)
         saved = ""
         if save_run_up is not None and table is not None:

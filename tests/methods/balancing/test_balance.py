@@ -247,6 +247,34 @@ def test_errors_of_the_weights_are_common_to_all_readings():
     np.testing.assert_allclose(left.unbalance, reach, rtol=0.1)
 
 
+def test_angles_of_readings_that_count_the_other_way_are_named(labpipe, tmp_path):
+    """Of exact z = z_0 + alpha w those of a phase that lags are conj(z): with a run to spare they fit no
+    alpha, and without one they fit any.
+    """
+    z_0, alpha = rig(np.random.default_rng(4), 2, 2)
+    weights = [np.zeros(2), np.array([3.0, 0]), np.array([0, 2j]), np.array([1.0, 1.0 + 1j])]
+    for n_run, lagging, said in ((4, True, True), (4, False, False), (3, True, False)):
+        runs = []
+        for weight in weights[:n_run]:
+            z = z_0 + alpha @ weight
+            parts = {"weights": ("g.mm", "lr", weight), "readings": ("um", "AB", z.conj() if lagging else z)}
+            written = {
+                part: {
+                    n: f"{abs(v):.9f} {unit} at {np.degrees(np.angle(v)):.9f} deg"
+                    for n, v in zip(names, of, strict=True)
+                }
+                for part, (unit, names, of) in parts.items()
+            }
+            runs.append(written)
+        file = {"repeatability": "1 %", "planes": ["l", "r"], "runs": runs}
+        (tmp_path / "b.yaml").write_text(yaml.safe_dump(file))
+        ended = labpipe("balance", tmp_path / "b.yaml")
+        sense = "agree where their angles are counted in the other sense than those of the weights"
+        assert (sense in ended.out) == said
+        assert ("scatter more than was stated" in ended.out) == said
+        assert ("no run is to spare" in ended.out) == (n_run == 3)
+
+
 def test_readings_that_scatter_more_widen_every_interval(labpipe, tmp_path):
     """Five runs more of the example with errors of 10 % where 1 % was stated (Birge: sqrt(chi2 / dof))."""
     file = yaml.safe_load(EXAMPLE.read_text())

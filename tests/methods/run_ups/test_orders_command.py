@@ -74,6 +74,26 @@ def test_a_run_up_by_its_tacho(project: Path, labpipe) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_shaft_that_turns_from_y_to_x_is_asked_about(project: Path, labpipe) -> None:
+    """The circles of 30 and 10 um: forward is the larger one, until the probes are exchanged. Probes that are
+    called f and b keep their columns.
+    """
+    common = ("orders", project / "run.csv", "-o", project / "out", "-r")
+    assert "backward" not in labpipe(*common, project / "rig.yaml").out
+    exchanged = RIG.replace("dof: x", "dof: z").replace("dof: y", "dof: x").replace("dof: z", "dof: y")
+    exchanged = exchanged.replace("  x: ", "  f: ").replace("  y: ", "  b: ")
+    (project / "exchanged.yaml").write_text(exchanged, encoding="utf-8")
+    ended = labpipe(*common, project / "exchanged.yaml")
+    assert "whirls backward at 100 % of the speeds: if the shaft turns from y to x" in ended.out
+    titles = (project / "out/orders.csv").read_text("utf-8").splitlines()[0].split(",")
+    assert len(set(titles)) == len(titles)
+    for row in rows(project / "out"):
+        assert row["circle:f:amplitude"] == pytest.approx(10e-6, abs=1e-6)
+        assert row["circle:b:amplitude"] == pytest.approx(30e-6, abs=1e-6)
+        assert row["f:amplitude"] == pytest.approx(1e-6 * abs(FORWARD + BACKWARD), abs=1e-6)
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_pulses_that_are_missing_are_said_and_counted(project: Path, labpipe) -> None:
     """The orbit in closed form, of a tacho that loses three pulses and doubles one."""
     table = np.loadtxt(project / "run.csv", delimiter=",", skiprows=1)
