@@ -554,7 +554,7 @@ def short_block_findings(
         return []
     lines, modelled = blocks.length * width, models_leakage and measured.leakage is not None
     enough = LINES_BY_DEGREE / blocks.degree if blocks.degree else FEWEST_LINES if modelled else ENOUGH_LINES
-    if lines >= enough:
+    if lines >= enough or (blocks.bursts and (modelled or blocks.dies_away(lines))):
         return []
     needed = f"blocks of at least {rounded_up((TOO_WIDE if lines < 1 else 1.0) * enough / width):g} s"
     which = (

@@ -350,7 +350,9 @@ def expected_model(measured: Measured, model: Any) -> Any:
     return model if measured.leakage is None else SmearedModel(model, measured.leakage)
 
 
-def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray) -> LineBlocks | None:
+def leaking_noise(
+    measured: Measured, model: Receptance, parameters: FloatArray
+) -> SharedNoise | LineBlocks | None:
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what
     their residual's power gives; None without leakage or noise.
 
@@ -360,6 +362,9 @@ def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray)
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
         return None
+    if leakage.kernel.blocks.bursts:
+        # Of forces that rest at the ends of a block little passes from one to the next.
+        return measured.line_noise
     points = leakage.points_of(model, parameters)
     deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
     # Power of every force over that of each, by the noise of H, which is over it.

@@ -228,7 +228,8 @@ class Blocks:
     degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives:
     in time of what was averaged, beyond those of the response's form; -2 for a transmissibility from an
     accelerometer on the base and a probe on the mass. by_force: number of the blocks of each force, where one
-    alone acts in a recording; apart: its noise is that of these alone.
+    alone acts in a recording; apart: its noise is that of these alone. bursts: mean square of the force in
+    equal parts of a block [1], of bursts that rest in it; none where it acts all the time.
     """
 
     length: float
@@ -240,6 +241,12 @@ class Blocks:
     derivatives: int = 0
     by_force: tuple[int, ...] = ()
     apart: bool = False
+    bursts: tuple[float, ...] = ()
+
+    def dies_away(self, lines: float) -> bool:
+        """Whether a mode of this half-power width [lines] falls to 1 % of its power while a burst rests."""
+        rest = self.bursts.count(0.0) / max(len(self.bursts), 1)
+        return self.window == "boxcar" and bool(np.exp(-2 * np.pi * lines * rest) < 0.01)
 
     def of_forces(self, columns: Sequence[int]) -> Blocks:
         """Those of the forces *columns*."""

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.records.response import Blocks
 from labpipe.spectra.windows import (
+    POINTS,
     amplitude_correlation,
     effective_averages,
+    kernel_of,
     line_correlation,
     noise_bandwidth,
     overlap_correlation,
@@ -49,6 +52,21 @@ def test_a_window_s_parameter_stands_behind_its_name() -> None:
     # Its shape over 512 samples, from which leakage is known, is not that over a block.
     with pytest.raises(ConfigError, match="'gaussian 100' counts samples"):
         window_values("gaussian 100", 1000)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
+def test_what_a_block_shows_of_an_impulse_response_after_a_burst(share: float) -> None:
+    """Of a force over the first share s of a block T the product with the response a lag later is complete up
+    to (1 - s) T and falls to none at T: min(1, (1 - lag / T) / s). What lies beyond 64 lines is cut off.
+    """
+    parts = 64
+    course = tuple(1.0 if n < share * parts else 0.0 for n in range(parts))
+    kernel = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1", bursts=course))
+    for lag in (0.1, 0.4, 0.6, 0.8, 0.95):
+        seen = kernel.weights @ np.cos(2 * np.pi * lag * kernel.offsets / POINTS)
+        assert seen == pytest.approx(min(1.0, (1 - lag) / share), abs=5e-3)
+    steady = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1"))
+    assert share < 1 or np.allclose(kernel.weights, steady.amplitude**2, atol=1e-3)
 
 
 def test_without_overlap_every_block_counts() -> None:
