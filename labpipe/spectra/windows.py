@@ -175,15 +175,17 @@ class LeakageKernel:
 
 
 def has_kernel(blocks: Blocks) -> bool:
-    """Whether what leaks is known: in H1 of whole blocks, whose kernel is that of their window."""
-    return blocks.estimator == "H1" and not blocks.degree
+    """Whether what leaks is known: in H1 of whole blocks, by their window or local polynomials."""
+    return blocks.estimator == "H1" and (not blocks.degree or blocks.half_width > 0)
 
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
-    """The spectrum of the blocks' window, and what they hold of bursts; ConfigError for an unknown window.
-    Equations (frf-leakage-kernel), (frf-leakage-bursts).
+    """The spectrum of the window of blocks, what they hold of bursts, or what local polynomials make of FRFs;
+    ConfigError for an unknown one. Equations (frf-leakage-kernel), (frf-leakage-bursts), (frf-local-kernel).
     """
+    if blocks.degree:
+        return _polynomial_kernel(blocks)
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
@@ -206,6 +208,16 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     return LeakageKernel(
         blocks, offsets[inside].astype(float), amplitude / np.linalg.norm(amplitude), weights
     )
+
+
+def _polynomial_kernel(blocks: Blocks) -> LeakageKernel:
+    # G_0 of least squares, by a rough force, whose lines have what the leakage's polynomials leave of each.
+    lines = np.arange(-blocks.half_width, blocks.half_width + 1)
+    powers = (lines / blocks.half_width)[:, None] ** np.arange(blocks.degree + 1)
+    smooth = np.linalg.qr(powers)[0]
+    left = 1 - np.sum(smooth**2, axis=1)
+    weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
+    return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
 
 
 # The force window falls from one to zero within this share of its length.

@@ -10,6 +10,7 @@ import pytest
 
 from labpipe.errors import ConfigError
 from labpipe.records.response import Blocks
+from labpipe.spectra.local import local_polynomials
 from labpipe.spectra.windows import (
     POINTS,
     amplitude_correlation,
@@ -67,6 +68,23 @@ def test_what_a_block_shows_of_an_impulse_response_after_a_burst(share: float) -
         assert seen == pytest.approx(min(1.0, (1 - lag) / share), abs=5e-3)
     steady = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1"))
     assert share < 1 or np.allclose(kernel.weights, steady.amplitude**2, atol=1e-3)
+
+
+@pytest.mark.parametrize(("degree", "half_width"), [(2, 5), (3, 6), (4, 8)])
+def test_local_polynomials_of_rough_forces_weigh_lines_as_their_kernel(degree: int, half_width: int) -> None:
+    """A polynomial of that degree comes back, and the mean FRF of 4,000 blocks of white forces is the
+    kernel's of a peak that no polynomial follows.
+    """
+    rng, blocks = np.random.default_rng(8), Blocks(1.0, "none", 0.0, 8, "H1", degree, half_width=half_width)
+    kernel = kernel_of(blocks)
+    r = kernel.offsets / POINTS
+    for power in range(degree + 1):
+        assert kernel.weights @ r**power == pytest.approx(float(power == 0), abs=1e-12 * half_width**power)
+    h = 1 / (1 + 1j * (np.arange(2 * half_width + 1) - half_width))
+    forces = rng.normal(size=(2, 4000, h.size, 1)) @ np.ones(1)
+    force = (forces[0] + 1j * forces[1])[..., None]
+    fitted = local_polynomials(force, force * h[:, None], degree, half_width)
+    assert fitted.matrix[0, 0, 0] == pytest.approx(complex(kernel.weights @ h), abs=0.01)
 
 
 def test_without_overlap_every_block_counts() -> None:
