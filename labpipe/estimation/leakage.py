@@ -350,7 +350,9 @@ def expected_model(measured: Measured, model: Any) -> Any:
     return model if measured.leakage is None else SmearedModel(model, measured.leakage)
 
 
-def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray) -> LineBlocks | None:
+def leaking_noise(
+    measured: Measured, model: Receptance, parameters: FloatArray
+) -> SharedNoise | LineBlocks | None:
     """Correlation of noise and leakage of all lines [1] at *parameters* (n_parameter,), relative to what
     their residual's power gives; None without leakage or noise.
 
@@ -360,13 +362,17 @@ def leaking_noise(measured: Measured, model: Receptance, parameters: FloatArray)
     leakage = measured.leakage
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
         return None
+    blocks = leakage.kernel.blocks
+    if blocks.degree or blocks.bursts:
+        # Local polynomials take off what passes from block to block; little does of bursts.
+        return None if blocks.degree else measured.line_noise
     points = leakage.points_of(model, parameters)
     deviation = points - np.einsum("m,lmoi->loi", leakage.kernel.weights, points)[:, None]
     # Power of every force over that of each, by the noise of H, which is over it.
     _, n_output, n_input = measured.matrix.shape
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
     power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
-    blocks, ratios = leakage.kernel.blocks, np.outer(power, 1 / power)
+    ratios = np.outer(power, 1 / power)
     alone = np.eye(len(ratios))
     of_residual = alone if blocks.apart else ratios
     apparent = _force_products(deviation * leakage.kernel.weights[:, None, None], deviation, of_residual)

@@ -228,7 +228,7 @@ def _leakage(response: FrequencyResponse, blocks: Blocks | None, frequency: Floa
     if blocks is None or not has_kernel(blocks):
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
-    correlation = np.array(response.line_correlation, float)
+    correlation = np.array(response.line_correlation).real
     derivatives = _derivatives(response.form) + blocks.derivatives
     return Leakage(kernel_of(blocks), numbers, correlation, derivatives)
 

@@ -293,9 +293,9 @@ def turning_tacho(first: FirstLook) -> str | None:
     return None
 
 
-# Share of its frequency to either side of a mode that a fit of its decay looks at, and the periods of a decay
-# that give such a band the lines that a fit asks for.
-DECAY_WIDTH, LEAST_PERIODS = 0.4, 16
+# Share of its frequency to either side of a mode that a fit of its decay looks at, the periods of a decay
+# that give such a band the lines that a fit of several asks for, and the lines that one alone must have.
+DECAY_WIDTH, LEAST_PERIODS, LINES_ALONE = 0.4, 16, 21
 
 
 def decay_bands(looks: Sequence[FirstLook], outputs: Sequence[int]) -> dict[str, tuple[float, float]]:
@@ -327,7 +327,8 @@ def _decay_bands(first: FirstLook, outputs: Sequence[int]) -> dict[str, tuple[fl
             strongest, length = _strongest_peak([decay.samples[:, column] for decay in decays])
         if strongest:
             f = strongest * rate / length
-            bands[channel.name] = ((1 - DECAY_WIDTH) * f, (1 + DECAY_WIDTH) * f)
+            width = max(DECAY_WIDTH, LINES_ALONE / (2 * strongest) if len(decays) == 1 else 0.0)
+            bands[channel.name] = ((1 - width) * f, (1 + width) * f)
     return bands
 
 

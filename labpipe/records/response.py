@@ -225,10 +225,12 @@ class Blocks:
     """Blocks of random data averaged to an FRF: length [s], window, overlap of neighbours [1], number,
     estimator (H1, H2, Hv, joint).
 
-    degree: of the local polynomials that take the place of the window; 0 for Welch's averages. derivatives:
-    in time of what was averaged, beyond those of the response's form; -2 for a transmissibility from an
-    accelerometer on the base and a probe on the mass. by_force: number of the blocks of each force, where one
-    alone acts in a recording; apart: its noise is that of these alone.
+    degree: of the local polynomials that take the place of the window, half_width: their lines to either
+    side; 0 for Welch's averages. derivatives: in time of what was averaged, beyond those of the response's
+    form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass. by_force:
+    number of the blocks of each force, where one alone acts in a recording; apart: its noise is that of these
+    alone. bursts: mean square of the force in equal parts of a block [1], of bursts that rest in it; none
+    where it acts all the time.
     """
 
     length: float
@@ -240,6 +242,13 @@ class Blocks:
     derivatives: int = 0
     by_force: tuple[int, ...] = ()
     apart: bool = False
+    bursts: tuple[float, ...] = ()
+    half_width: int = 0
+
+    def dies_away(self, lines: float) -> bool:
+        """Whether a mode of this half-power width [lines] falls to 1 % of its power while a burst rests."""
+        rest = self.bursts.count(0.0) / max(len(self.bursts), 1)
+        return self.window == "boxcar" and bool(np.exp(-2 * np.pi * lines * rest) < 0.01)
 
     def of_forces(self, columns: Sequence[int]) -> Blocks:
         """Those of the forces *columns*."""

@@ -298,7 +298,14 @@ def local_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout: 
         coherence=coherence[:, :, None] if n_input == 1 else None,
         multiple_coherence=coherence,
         blocks=Blocks(
-            settings.block, "none", 0.0, blocks.shape[0], "H1", settings.degree, layout.derivatives
+            settings.block,
+            "none",
+            0.0,
+            blocks.shape[0],
+            "H1",
+            settings.degree,
+            layout.derivatives,
+            half_width=half_width,
         ),
         line_correlation=tuple(complex(value) for value in fitted.correlation),
     )

@@ -379,12 +379,22 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
         covariance_dof=min(response.covariance_dof for response in responses),
         averages=min(response.averages for response in responses),
         line_correlation=windows.pop() if len(windows) == 1 else (),
-        blocks=first.blocks if all(response.blocks == first.blocks for response in responses) else None,
+        blocks=_joined_blocks([response.blocks for response in responses]),
         errors=_errors(responses, places, shape),
         findings=tuple(dict.fromkeys(finding for response in responses for finding in response.findings)),
         conditions=first.conditions,
         **whole,
     )
+
+
+def _joined_blocks(blocks: Sequence[Blocks | None]) -> Blocks | None:
+    """Those of all, of bursts with their mean course; None where they differ."""
+    first = blocks[0]
+    bursts = [of.bursts for of in blocks if of is not None]
+    alike = first and all(of and replace(of, bursts=first.bursts) == first for of in blocks)
+    if not (first and alike and len({len(course) for course in bursts}) == 1):
+        return None
+    return replace(first, bursts=tuple(np.mean(bursts, axis=0).tolist())) if first.bursts else first
 
 
 # Rows (n, 1) and columns of a response in the joined matrix.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -250,29 +251,52 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
 
     change = change_of_random(halved, layout, chosen, response_of, n_input + 1)
-    leaks = not all(ends_at_rest(source, settings) for source in sources)
-    return replace(parts, blocks=blocks if leaks else None, change=change)
+    return replace(parts, blocks=leaking_blocks(blocks, sources), change=change)
 
 
-# Part of a block at its end, and the share of the mean power that is left there of a burst.
-END, AT_REST = 0.02, 0.01
+# Parts of a block, the share of the mean power below which one is at rest, and the blocks that show whether
+# forces are bursts.
+PARTS, AT_REST, FIRST = 64, 0.01, 8
 
 
-def ends_at_rest(source: SampleSource, settings: FrfSettings) -> bool:
-    """Whether every block of a recording, without a window, ends at rest as a burst does: nothing leaks then
-    from block to block, and no line into its neighbours.
+def leaking_blocks(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks | None:
+    """The *blocks*, with the course of forces that rest where these begin or end, as bursts do. None where,
+    without a window, every channel ends at rest: nothing leaks then from block to block, and no line into its
+    neighbours.
     """
-    if settings.window != "boxcar" or settings.overlap or settings.block is None:
-        return False
-    n_sample = block_samples(source, settings.block)
-    left, mean = (np.zeros(len(source.channels)) for _ in range(2))
-    for block in source.blocks(n_sample):
-        if len(block) == n_sample:
-            power = (block - np.mean(block, axis=0)) ** 2
-            left += np.mean(power[-max(round(END * n_sample), 1) :], axis=0)
-            mean += np.mean(power, axis=0)
-    measured = [channel.role != "reference" for channel in source.channels]
-    return bool(np.all(left[measured] < AT_REST * mean[measured]))
+    force, _ = _powers(blocks, sources, FIRST)
+    if min(force[0], force[-1]) >= AT_REST * np.mean(force):
+        return blocks
+    force, at_rest = _powers(blocks, sources)
+    # The mean that is taken off a block is no force.
+    force[force < AT_REST * np.mean(force)] = 0.0
+    if at_rest and blocks.window == "boxcar" and not blocks.overlap and blocks.estimator != "H1":
+        return None
+    # Blocks that overlap begin elsewhere in a burst.
+    starts = np.arange(0, force.size, force.size * (1 - blocks.overlap))
+    course = np.mean([np.roll(force, -round(start)) for start in starts.tolist()], axis=0)
+    return replace(blocks, bursts=tuple((course / np.mean(course)).tolist()))
+
+
+def _powers(
+    blocks: Blocks, sources: Sequence[SampleSource], most: int | None = None
+) -> tuple[FloatArray, bool]:
+    """Mean square (n_part,) of the forces in parts of a block [N^2], and whether every channel rests in the
+    last; of the first *most* blocks of each recording.
+    """
+    force, at_rest = np.zeros(1), True
+    for source in sources:
+        n_sample, power = block_samples(source, blocks.length), np.zeros(1)
+        for block in islice(source.blocks(n_sample), most):
+            if len(block) == n_sample:
+                square = (block - np.mean(block, axis=0)) ** 2
+                parts = np.array_split(square, min(PARTS, n_sample))
+                power = power + [np.mean(part, axis=0) for part in parts]
+        roles = np.array([channel.role for channel in source.channels])
+        force = force + np.sum(power[:, roles == "input"], axis=1)
+        rests = power[-1] < AT_REST * np.mean(power, axis=0)
+        at_rest &= bool(np.all(rests[roles != "reference"]))
+    return force, at_rest
 
 
 def parts_of_spectra(

@@ -149,17 +149,14 @@ OUTSIDE, MOST_LINES = 1e-6, 64
 @dataclass(frozen=True)
 class LeakageKernel:
     """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets*
-    (n_point,) [1 / POINTS line]. sum W^2 = 1.
+    (n_point,) [1 / POINTS line]. sum W^2 = 1. The mean of H over the points by *weights* (n_point,) [1] is
+    the expected H1: W^2, but for bursts.
     """
 
     blocks: Blocks
     offsets: FloatArray
     amplitude: FloatArray
-
-    @property
-    def weights(self) -> FloatArray:
-        """|W|^2, (n_point,) [1]: the mean of H over the points is the expected H1."""
-        return self.amplitude**2
+    weights: FloatArray
 
     def shifts(self) -> list[tuple[FloatArray, ComplexArray]]:
         """(weights (n_input or 1, 1) [1], phases (n_point,) [1]) of pairs of blocks that overlap: exp(j v t
@@ -178,25 +175,49 @@ class LeakageKernel:
 
 
 def has_kernel(blocks: Blocks) -> bool:
-    """Whether what leaks is known: in H1 of whole blocks, whose kernel is that of their window."""
-    return blocks.estimator == "H1" and not blocks.degree
+    """Whether what leaks is known: in H1 of whole blocks, by their window or local polynomials."""
+    return blocks.estimator == "H1" and (not blocks.degree or blocks.half_width > 0)
 
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
-    """The spectrum of the blocks' window; ConfigError for an unknown one. Equation (frf-leakage-kernel)."""
+    """The spectrum of the window of blocks, what they hold of bursts, or what local polynomials make of FRFs;
+    ConfigError for an unknown one. Equations (frf-leakage-kernel), (frf-leakage-bursts), (frf-local-kernel).
+    """
+    if blocks.degree:
+        return _polynomial_kernel(blocks)
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
     offsets = np.arange(-MOST_LINES * POINTS, MOST_LINES * POINTS + 1)
     amplitude = (np.exp(-2j * np.pi * np.outer(offsets, place) / (SHAPE_SAMPLES * POINTS)) @ window).real
+    weights = amplitude**2
+    if blocks.bursts:
+        of_force = (
+            window * np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
+        )
+        seen = np.correlate(window, of_force, "full")[window.size - 1 :]
+        seen[1:] *= 2
+        turns = np.outer(offsets, np.arange(window.size)) / (window.size * POINTS)
+        weights = np.cos(2 * np.pi * turns) @ seen
     nearest = np.argsort(np.abs(offsets), kind="stable")
-    share = np.cumsum(amplitude[nearest] ** 2) / np.dot(amplitude, amplitude)
+    share = np.cumsum(np.abs(weights[nearest])) / np.sum(np.abs(weights))
     furthest = abs(offsets[nearest[np.argmax(share > 1 - OUTSIDE)]])
     inside = np.abs(offsets) <= furthest
+    amplitude, weights = amplitude[inside], weights[inside] / np.sum(weights[inside])
     return LeakageKernel(
-        blocks, offsets[inside].astype(float), amplitude[inside] / np.linalg.norm(amplitude[inside])
+        blocks, offsets[inside].astype(float), amplitude / np.linalg.norm(amplitude), weights
     )
+
+
+def _polynomial_kernel(blocks: Blocks) -> LeakageKernel:
+    # G_0 of least squares, by a rough force, whose lines have what the leakage's polynomials leave of each.
+    lines = np.arange(-blocks.half_width, blocks.half_width + 1)
+    powers = (lines / blocks.half_width)[:, None] ** np.arange(blocks.degree + 1)
+    smooth = np.linalg.qr(powers)[0]
+    left = 1 - np.sum(smooth**2, axis=1)
+    weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
+    return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
 
 
 # The force window falls from one to zero within this share of its length.

@@ -43,12 +43,12 @@ def said(
     ("enough", "needed", "keys"),
     [
         # Ten lines of a window, one and a half where the leakage is part of the model, 30 over the degree of
-        # polynomials.
+        # polynomials, three where what they smear is part of it.
         (5.0, "5 s", {}),
         (0.75, "0.75 s", {"modelled": True}),
         (7.5, "7.5 s", {"degree": 2}),
         (3.75, "3.8 s", {"degree": 4}),
-        (3.75, "3.8 s", {"degree": 4, "modelled": True}),
+        (1.5, "1.5 s", {"degree": 4, "modelled": True}),
     ],
 )
 def test_the_width_in_lines_decides(enough: float, needed: str, keys: dict[str, Any]) -> None:

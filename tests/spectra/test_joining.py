@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import DataError
-from labpipe.records.response import FrequencyResponse, Port
+from labpipe.records.response import Blocks, FrequencyResponse, Port
 from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra.ports import join
 
@@ -49,6 +49,15 @@ def test_coherence_and_noise_stay_with_their_elements() -> None:
     np.testing.assert_array_equal(response.covariance[2], np.diag([1.0, 2.0, 3.0, 4.0]))
     np.testing.assert_array_equal(response.coherence[0], [[0.0, 0.1], [0.2, 0.3]])
     assert response.covariance_dof == 6.0
+
+
+def test_blocks_of_bursts_have_their_mean_course_and_others_none() -> None:
+    """0.9 and 1.1 are 1 on the mean; a burst beside steady data is neither."""
+    bursts = [Blocks(1.0, "boxcar", 0.0, 9, "H1", bursts=course) for course in ((1.1, 0.0), (0.9, 0.0), ())]
+    parts = [part(f"a{n}", "f", 1.0, blocks=of) for n, of in enumerate(bursts)]
+    joined = join(parts[:2]).blocks
+    assert joined is not None and joined.bursts == pytest.approx((1.0, 0.0))
+    assert join(parts).blocks is None and join(parts[2:]).blocks == bursts[2]
 
 
 def test_errors_of_one_number_are_one_error_in_all_files() -> None:

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ConfigError
+from labpipe.records.response import Blocks
+from labpipe.spectra.local import local_polynomials
 from labpipe.spectra.windows import (
+    POINTS,
     amplitude_correlation,
     effective_averages,
+    kernel_of,
     line_correlation,
     noise_bandwidth,
     overlap_correlation,
@@ -49,6 +53,38 @@ def test_a_window_s_parameter_stands_behind_its_name() -> None:
     # Its shape over 512 samples, from which leakage is known, is not that over a block.
     with pytest.raises(ConfigError, match="'gaussian 100' counts samples"):
         window_values("gaussian 100", 1000)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
+def test_what_a_block_shows_of_an_impulse_response_after_a_burst(share: float) -> None:
+    """Of a force over the first share s of a block T the product with the response a lag later is complete up
+    to (1 - s) T and falls to none at T: min(1, (1 - lag / T) / s). What lies beyond 64 lines is cut off.
+    """
+    parts = 64
+    course = tuple(1.0 if n < share * parts else 0.0 for n in range(parts))
+    kernel = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1", bursts=course))
+    for lag in (0.1, 0.4, 0.6, 0.8, 0.95):
+        seen = kernel.weights @ np.cos(2 * np.pi * lag * kernel.offsets / POINTS)
+        assert seen == pytest.approx(min(1.0, (1 - lag) / share), abs=5e-3)
+    steady = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1"))
+    assert share < 1 or np.allclose(kernel.weights, steady.amplitude**2, atol=1e-3)
+
+
+@pytest.mark.parametrize(("degree", "half_width"), [(2, 5), (3, 6), (4, 8)])
+def test_local_polynomials_of_rough_forces_weigh_lines_as_their_kernel(degree: int, half_width: int) -> None:
+    """A polynomial of that degree comes back, and the mean FRF of 4,000 blocks of white forces is the
+    kernel's of a peak that no polynomial follows.
+    """
+    rng, blocks = np.random.default_rng(8), Blocks(1.0, "none", 0.0, 8, "H1", degree, half_width=half_width)
+    kernel = kernel_of(blocks)
+    r = kernel.offsets / POINTS
+    for power in range(degree + 1):
+        assert kernel.weights @ r**power == pytest.approx(float(power == 0), abs=1e-12 * half_width**power)
+    h = 1 / (1 + 1j * (np.arange(2 * half_width + 1) - half_width))
+    forces = rng.normal(size=(2, 4000, h.size, 1)) @ np.ones(1)
+    force = (forces[0] + 1j * forces[1])[..., None]
+    fitted = local_polynomials(force, force * h[:, None], degree, half_width)
+    assert fitted.matrix[0, 0, 0] == pytest.approx(complex(kernel.weights @ h), abs=0.01)
 
 
 def test_without_overlap_every_block_counts() -> None:

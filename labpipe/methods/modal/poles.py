@@ -537,8 +537,7 @@ def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> 
     decay = float(np.median(-refined.poles.real))
     scaled = (residual / np.sqrt(refined.noise)).reshape(residual.shape[0], -1)
     n_wide = round(2 * decay / lines.spacing)
-    kernel = np.ones(max(n_wide, 1))
-    summed = np.stack([np.convolve(column, kernel, mode="same") for column in scaled.T])
+    summed = np.stack([np.convolve(of, np.ones(max(n_wide, 1)), mode="same") for of in scaled.T])
     line = int(np.argmax(np.sum(np.abs(summed) ** 2, axis=0)))
     near = int(np.argmin(np.abs(refined.poles.imag - lines.omega[line])))
     pole = refined.poles.real[near] + 1j * lines.omega[line]
@@ -546,7 +545,8 @@ def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> 
         # On top of a mode: the two begin on either side of the place.
         pole += 1j * decay
     width = max(3, n_wide)
-    participation = _main_participation(residual[max(0, line - width) : line + width + 1], refined)
+    beside = residual[max(0, line - width) : line + width + 1]
+    participation = _main_participation(beside, refined)
     both = np.append(refined.poles, pole), np.vstack([refined.participation, participation])
     again, terms = refine_with_terms(lines, *both)
     inside, narrow, seen = _standing(lines, again)
@@ -563,6 +563,7 @@ def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> 
     # R / (s - lambda - d_o) with d_o of the points looks like two poles close to lambda.
     apart, alike = (of[-1] for of in _overlap(again))
     distinct = np.count_nonzero((apart < DISTINCT) & alike) == 1
+    distinct |= _acts_otherwise(beside, refined, refined.participation[near], lines.shared)
     sound = again.converged and distinct and np.all(inside & narrow & seen)
     if not sound or criterion(again, terms) > most - SUPPORT:
         return None
@@ -571,6 +572,18 @@ def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> 
     if -pole.real < NORMAL * np.sqrt(by_scatter.covariance[place, place]):
         return None
     return Completed(again, terms, done.added + 1)
+
+
+def _acts_otherwise(
+    residual: ComplexArray, refined: Refined, participation: ComplexArray, shared: float
+) -> bool:
+    """Whether a part of the *residual* (n, n_output, n_input) [unit of the FRF] acts on the references as no
+    mode of this *participation* (n_input,) [1] does, however its points move.
+    """
+    across = scipy.linalg.null_space(participation[None])
+    left = residual @ across
+    chi2 = 2 * float(np.sum(np.abs(left) ** 2 / (refined.noise @ np.abs(across) ** 2))) / shared
+    return left.size > 0 and chi2_tail(chi2, 2 * left.size) < SEEN_P
 
 
 def _main_participation(residual: ComplexArray, refined: Refined) -> ComplexArray:

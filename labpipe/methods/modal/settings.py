@@ -47,8 +47,9 @@ class ModalSettings(Settings):
     ratios: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.order[1] < max(LEAST_ORDER, self.order[0]):
-            what = f"the highest 'order' is {self.order[1]}"
+        lowest, highest = self.order
+        if highest < max(LEAST_ORDER, lowest):
+            what = f"the highest 'order' is {highest}, the lowest {lowest}"
             raise ConfigError(what, hint=f"{LEAST_ORDER} or more, and the lowest first: 2-60", field="order")
         if any(pole <= 0 for pole in self.poles):
             raise ConfigError("'poles' must be positive", field="poles")
