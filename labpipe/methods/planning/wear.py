@@ -35,7 +35,7 @@ from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.wear.model import PLACES, rotor_response
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -72,21 +72,18 @@ class WearPlanSettings(Settings):
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
     _: KW_ONLY
     expected: Wear = section("depth and angle that are expected", Wear)
-    speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
+    speeds: tuple[float, ...] = setting("values", "speeds that can be run", "Hz")
     duration: float = quantity("of all tests together", "s")
     sample_rate: float = quantity("of the recordings", "Hz")
     bands: tuple[tuple[float, float], ...] = setting(
-        "bands", "bands that can be excited, one at a time", unit="Hz"
+        "bands", "bands that can be excited, one at a time", "Hz"
     )
     force: float = quantity("rms of the shaker's white force, in whatever band", "N")
     bearing: str = text("name of the worn bearing; default: the last one")
     loads: tuple[float, ...] = setting(
-        "values",
-        "static forces on the shaft that can be set, up; default: as in the file",
-        unit="N",
-        default=(),
+        "values", "static forces on the shaft that can be set, up; default: as in the file", "N", ()
     )
-    load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
+    load_node: int = integer("node of that static force; default: that of the shaker", 0)
     run: float = quantity("length of one run, under a force in y and again in z", "s", 60.0)
     changeover: float = quantity("time between tests", "s", 0.0)
     block: float = quantity("block length of the responses", "s", 4.0)
