@@ -18,7 +18,6 @@ import yaml
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
@@ -31,7 +30,6 @@ from labpipe.methods.planning.runs import Answered, CandidateRun, Change, RunQua
 from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
-from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.wear.model import PLACES, rotor_response
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes
@@ -199,15 +197,14 @@ class ExpectedWear:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
-            fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
-            return VaryingSupport(NodeSupport(place.node, fixed.stiffness, fixed.damping), *slopes)
+            return VaryingSupport(place.support(load, self.rig.omega), *slopes)
         others = ("beta",) if place.name == self.bearing else ("beta", DEPTH, ANGLE)
         names = [name for name in self.values if name not in others]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
-        return VaryingSupport(NodeSupport(place.node, film.stiffness, film.damping), *slopes)
+        return VaryingSupport(place.springs(film), *slopes)
 
 
 def information(
