@@ -14,7 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray, freeze
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, choice, setting, text
+from labpipe.records.settings import Settings, choice, quantity, text
 from labpipe.records.uncertain import Uncertainty
 from labpipe.registry import Registry
 
@@ -251,21 +251,18 @@ class LinearBearingSettings(Settings):
 
     kind: str = choice("which bearing", ("linear-bearing",))
     name: str = text("name of the bearing")
-    k_yy: float = setting("value", "stiffness in y", unit="N/m")
-    k_zz: float | None = setting("value", "stiffness in z; default: k_yy", unit="N/m", default=None)
-    k_yz: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
-    k_zy: float = setting("value", "cross-coupled stiffness", unit="N/m", default=0.0)
-    k_cross: float | None = setting(
-        "value",
-        "cross-coupled stiffness of a seal, k_yz = -k_zy; above zero it drives forward whirl",
-        unit="N/m",
-        default=None,
+    k_yy: float = quantity("stiffness in y", "N/m")
+    k_zz: float | None = quantity("stiffness in z; default: k_yy", "N/m", None)
+    k_yz: float = quantity("cross-coupled stiffness", "N/m", 0.0)
+    k_zy: float = quantity("cross-coupled stiffness", "N/m", 0.0)
+    k_cross: float | None = quantity(
+        "cross-coupled stiffness of a seal, k_yz = -k_zy; above zero it drives forward whirl", "N/m", None
     )
-    c: float | None = setting("value", "damping in y and z alike", unit="N.s/m", default=None)
-    c_yy: float = setting("value", "damping in y", unit="N.s/m", default=0.0)
-    c_zz: float = setting("value", "damping in z", unit="N.s/m", default=0.0)
-    c_yz: float = setting("value", "cross-coupled damping", unit="N.s/m", default=0.0)
-    c_zy: float = setting("value", "cross-coupled damping", unit="N.s/m", default=0.0)
+    c: float | None = quantity("damping in y and z alike", "N.s/m", None)
+    c_yy: float = quantity("damping in y", "N.s/m", 0.0)
+    c_zz: float = quantity("damping in z", "N.s/m", 0.0)
+    c_yz: float = quantity("cross-coupled damping", "N.s/m", 0.0)
+    c_zy: float = quantity("cross-coupled damping", "N.s/m", 0.0)
 
     def __post_init__(self) -> None:
         if self.c is not None and (self.c_yy or self.c_zz):

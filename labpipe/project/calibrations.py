@@ -210,10 +210,7 @@ class CertificateSettings(Settings):
     sha256: str = text("digest of the file, so that no change of it goes unnoticed")
     over: str = text("quantity with the frequencies of a sensitivity over frequency")
     at: float | None = setting(
-        "value",
-        "frequency at which the sensitivity is stated, that of a response of 1",
-        unit="Hz",
-        default=None,
+        "value", "frequency at which the sensitivity is stated, that of a response of 1", "Hz", None
     )
     phase: str = text("quantity with the phase over the same frequencies")
 

@@ -20,7 +20,7 @@ from labpipe.project.tests import SINGLE, EachFile, Test, TestReader, read_rig
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
 from labpipe.records.sections import SECTIONS, PipelineSection, names_of, sections
-from labpipe.records.settings import Settings, choice, quantity, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, integer, quantity, setting, settings_of, text
 from labpipe.records.uncertain import RepeatSource, parse_uncertain
 from labpipe.registry import nearest
 from labpipe.spectra.settings import FrfSettings
@@ -66,7 +66,7 @@ class UncertaintySettings(Settings):
     method: str = choice(
         "first order, or draws of noise and all uncertainties beside it", METHODS, "first-order"
     )
-    draws: int = setting("integer", "draws of method monte-carlo", default=2000)
+    draws: int = integer("draws of method monte-carlo", 2000)
     repeatability: tuple[tuple[str, RepeatSettings], ...] = setting(
         "sections",
         "scatter between repeats, by name: {remounting: {parameter: k, size: 0.5 %, per: mounting}}",

@@ -16,7 +16,7 @@ from labpipe.quantities import QUANTITIES, Unit, UnitError, parse_unit, parse_va
 from labpipe.raw_files.frf_csv import port_of
 from labpipe.records.recording import ROLES, Channel, SumTerm
 from labpipe.records.rig import AXIS_ANGLES, Rig, RigChannel
-from labpipe.records.settings import FileKind, Settings, Uncertainties, choice, quantity, setting, text
+from labpipe.records.settings import FileKind, Settings, Uncertainties, choice, flag, quantity, setting, text
 from labpipe.records.uncertain import split_uncertainty
 from labpipe.registry import nearest
 
@@ -57,13 +57,13 @@ class ChannelSettings(Settings):
     role: str = choice("input (force), output (response) or reference, as members of sums are", ROLES, "")
     dof: str = text("x, y, z, any name, or an angle from x such as '45 deg'")
     position: float | None = setting(
-        "value", "place along the axis, where magnets and sensors are apart", unit="m", default=None
+        "value", "place along the axis, where magnets and sensors are apart", "m", None
     )
     sensitivity: str = text(
         "of the sensor, for example '8 V/mm' or '8 V/mm +- 1 %'; or {certificate: FILE, quantity: NAME}"
     )
-    invert: bool = setting("flag", "turn the sign around", default=False)
-    delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", unit="s", default=0.0)
+    invert: bool = flag("turn the sign around")
+    delay: float = setting("value", "delay of the sensor chain, taken out of the FRF", "s", 0.0)
     response: str = text("CSV table of the sensor's frequency response, taken out of the FRF")
     range: tuple[float, float] | None = text(
         "recorded values at which the logger clips, e.g. '-10 V .. 10 V'", None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, parse_unit, unit_of
 from labpipe.records.response import FORMS
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -130,13 +130,9 @@ class FrfLayout(Settings):
     unit: str = text("unit of the numbers, for example g/N; default: SI")
     output: tuple[str, ...] = setting("names", "dof of the response; of a matrix: of every row", default=())
     input: tuple[str, ...] = setting("names", "dof of the force; of a matrix: of every column", default=())
-    conjugate: bool = setting(
-        "flag", "the numbers are the complex conjugate of H: their phase rises through a mode", default=False
-    )
-    averages: int = setting(
-        "integer",
-        "averages behind an H1, independent but for `overlap`: with its coherence they give the noise",
-        default=0,
+    conjugate: bool = flag("the numbers are the complex conjugate of H: their phase rises through a mode")
+    averages: int = integer(
+        "averages behind an H1, independent but for `overlap`: with its coherence they give the noise", 0
     )
     window: str = choice(
         "window of the analyser's blocks, through which neighbouring lines share noise", WINDOWS, ""

@@ -14,7 +14,7 @@ from labpipe.arrays import ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, DataError, SettingError
 from labpipe.quantities import UnitError, parse_value
 from labpipe.records.recording import Channel
-from labpipe.records.settings import Settings, quantity, setting, text
+from labpipe.records.settings import Settings, integer, quantity, text
 from labpipe.records.uncertain import Uncertain
 
 AXIS_ANGLES = {"x": 0.0, "y": math.pi / 2}
@@ -112,7 +112,7 @@ class RecordedCondition(Settings):
 
     channel: str = text("channel whose mean is the condition")
     tacho: str = text("channel with tacho pulses, whose mean speed is the condition")
-    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
+    pulses: int = integer("pulses of the tacho per revolution", 1)
 
     def __post_init__(self) -> None:
         if bool(self.channel) == bool(self.tacho):

@@ -516,19 +516,29 @@ def takes_uncertainty(owner: type, declared: Setting) -> bool:
     return declared.kind in ("value", "mass") and "uncertainties" in fields
 
 
-def setting(kind: str, help: str, *, default: Any = MISSING, **details: Any) -> Any:
+def setting(kind: str, help: str, unit: str = "", default: Any = MISSING, **details: Any) -> Any:
     """A dataclass field that carries a Setting of a kind of CONVERTERS, with its *details* by their names.
 
     Without a default the YAML must give it.
     """
     if kind not in CONVERTERS:
         raise ValueError(f"unknown kind of setting '{kind}'")
-    return dataclasses.field(default=default, metadata={"setting": Setting(kind, help, **details)})
+    return dataclasses.field(default=default, metadata={"setting": Setting(kind, help, unit=unit, **details)})
 
 
 def quantity(help: str, unit: str, default: Any = MISSING) -> Any:
     """A dataclass field of a number with an SI *unit*: a setting of the kind value."""
-    return setting("value", help, unit=unit, default=default)
+    return setting("value", help, unit, default)
+
+
+def integer(help: str, default: Any = MISSING) -> Any:
+    """A dataclass field of a whole number from zero on: a setting of the kind integer."""
+    return setting("integer", help, default=default)
+
+
+def flag(help: str) -> Any:
+    """A dataclass field that is false unless it is set: a setting of the kind flag."""
+    return setting("flag", help, default=False)
 
 
 def text(help: str, default: str | None = "") -> Any:

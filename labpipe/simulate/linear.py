@@ -198,9 +198,7 @@ class BaseRig(OneMass):
     _: KW_ONLY
     name: str = text("name of the rig", "Virtual mass on a shaking table")
     acceleration: float = quantity("rms acceleration of the table", "m/s^2", 5.0)
-    band: tuple[float, float] = setting(
-        "band", "band in which the table shakes", unit="Hz", default=(10.0, 100.0)
-    )
+    band: tuple[float, float] = setting("band", "band in which the table shakes", "Hz", (10.0, 100.0))
     sample_rate: float = quantity("sampling rate", "Hz", 512.0)
     duration: float = quantity("length of a run", "s", 32.0)
     pause: float = quantity("pause after the sweep, part of its run", "s", 4.0)
@@ -222,7 +220,7 @@ class SweepRig(OneMass):
     damping: float = quantity("damping of its support", "N.s/m")
     _: KW_ONLY
     name: str = text("name of the rig", "Virtual mass under swept sines")
-    band: tuple[float, float] = setting("band", "band that is swept", unit="Hz", default=(20.0, 80.0))
+    band: tuple[float, float] = setting("band", "band that is swept", "Hz", (20.0, 80.0))
     force: float = quantity("rms force while a sweep runs", "N", 5.0)
     duration: float = quantity("length of the linear sweep; the others take half as long", "s", 24.0)
     pause: float = quantity("pause after every sweep", "s", 3.0)
@@ -312,8 +310,8 @@ class WhiteNoiseRig(Settings):
     """
 
     kind: str = choice("which virtual rig", ("virtual-white-noise-rig",))
-    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", unit="N/m")
-    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", unit="N.s/m")
+    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K (x, y)", "N/m")
+    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C (x, y)", "N.s/m")
     mass: float = quantity("mass that moves with the rotor", "kg")
     _: KW_ONLY
     name: str = text("name of the rig", "Virtual rotor under white noise")
@@ -406,10 +404,10 @@ class VirtualMdofRig(Settings):
     """M q'' + C q' + K q = f on dofs 1, 2, ..., a force and a response on each."""
 
     kind: str = choice("which virtual rig", ("virtual-mdof-rig",))
-    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K", unit="N/m")
-    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C", unit="N.s/m")
+    stiffness: tuple[tuple[float, ...], ...] = setting("matrix", "stiffness matrix K", "N/m")
+    damping: tuple[tuple[float, ...], ...] = setting("matrix", "damping matrix C", "N.s/m")
     mass: tuple[float, ...] | tuple[tuple[float, ...], ...] = setting(
-        "mass", "masses, or the mass matrix M", unit="kg"
+        "mass", "masses, or the mass matrix M", "kg"
     )
     lines: Lines = section("frequency lines of the FRF", Lines)
     noise: float = quantity(

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, text
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
@@ -42,8 +42,8 @@ class ShaftLines(Settings):
 
     speed: float | None = quantity("shaft speed, e.g. 50 Hz or 3000 rpm", "Hz", None)
     tacho: str | None = text("channel with the tacho pulses, instead of a speed", None)
-    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
-    harmonics: int = setting("integer", "multiples of the speed that count, from 1x", default=1)
+    pulses: int = integer("pulses of the tacho per revolution", 1)
+    harmonics: int = integer("multiples of the speed that count, from 1x", 1)
 
     def __post_init__(self) -> None:
         if (self.speed is None) == (self.tacho is None):
@@ -117,17 +117,13 @@ class FrfSettings(Settings):
     excitation: str = choice("kind of excitation", EXCITATIONS)
     _: KW_ONLY
     period: float | None = quantity("length of one period of a periodic excitation", "s", None)
-    skip: int = setting(
-        "integer",
-        "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)",
-        default=1,
+    skip: int = integer(
+        "transient periods dropped at the start (periodic), or at least, after each step (stepped-sine)", 1
     )
     settle: float | None = quantity(
         "time dropped after each step (stepped-sine); default: until the transient is in the noise", "s", None
     )
-    smooth: int = setting(
-        "integer", "noise is averaged over this many lines to either side (periodic)", default=5
-    )
+    smooth: int = integer("noise is averaged over this many lines to either side (periodic)", 5)
     block: float | None = quantity("length of one block (random, impact)", "s", None)
     window: str = text("window of random data: any name of scipy.signal.get_window", "hann")
     overlap: float = quantity("overlap of neighbouring blocks (random)", "1", 0.5)
@@ -138,21 +134,19 @@ class FrfSettings(Settings):
         LOCALS,
         "none",
     )
-    degree: int = setting("integer", "degree of the local polynomials (local, sweep)", default=2)
-    half_width: int | None = setting(
-        "integer", "lines to either side that they span; default: as many as the noise needs", default=None
+    degree: int = integer("degree of the local polynomials (local, sweep)", 2)
+    half_width: int | None = integer(
+        "lines to either side that they span; default: as many as the noise needs", None
     )
-    band: tuple[float, float] | None = setting("band", "frequencies kept", unit="Hz", default=None)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", unit="Hz", default=())
+    band: tuple[float, float] | None = setting("band", "frequencies kept", "Hz", None)
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", "Hz", ())
     mask: MaskSettings | None = section("lines of the shaft speed left out", MaskSettings, None)
     remove: ShaftLines | None = section(
         "part synchronous with the shaft, taken out of all channels (periodic, random, impact)",
         ShaftLines,
         None,
     )
-    realisations: bool = setting(
-        "flag", "recordings of one force differ in phases, which shows distortion (periodic)", default=False
-    )
+    realisations: bool = flag("recordings of one force differ in phases, which shows distortion (periodic)")
     impact: ImpactSettings = section("hits of a hammer", ImpactSettings, ImpactSettings())
     windowed: WindowedSettings | None = section(
         "window that hits have already: its damping is taken out", WindowedSettings, None
@@ -169,9 +163,7 @@ class FrfSettings(Settings):
         "shakers (random)",
         default=(),
     )
-    directional: bool = setting(
-        "flag", "the response in forward and backward terms (two responses, two forces)", default=False
-    )
+    directional: bool = flag("the response in forward and backward terms (two responses, two forces)")
 
     def __post_init__(self) -> None:
         self._check_length()

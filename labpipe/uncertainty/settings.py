@@ -72,7 +72,7 @@ class EquilibriumSettings(Settings):
     y: str = setting("text", "condition that is the mean displacement in y")
     direction: float = quantity("direction of the load on the shaft, from x towards y", "rad", 0.0)
     centre: tuple[float, ...] = setting(
-        "values", "centre of the bearing (x, y) as the probes show it", unit="m", default=(0.0, 0.0)
+        "values", "centre of the bearing (x, y) as the probes show it", "m", (0.0, 0.0)
     )
     clearance: float | None = quantity("radial clearance, the circle that the shaft can move in", "m", None)
     support: float = quantity("stiffness of what carries a share of the load beside the bearing", "N/m", 0.0)
@@ -162,7 +162,7 @@ class TheorySettings(Settings):
         "names", "entry of the bearing file that the condition sets; of two conditions two", default=(LOAD,)
     )
     shaft: Uncertain | None = setting(
-        "uncertain", "radial stiffness of the bending shaft; default: rigid", unit="N/m", default=None
+        "uncertain", "radial stiffness of the bending shaft; default: rigid", "N/m", None
     )
     arm: float | None = quantity("tilts are measured as displacements at this distance", "m", None)
 

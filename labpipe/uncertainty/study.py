@@ -27,7 +27,7 @@ from labpipe.processes import pool_of
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, flag, integer, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import list_names
 from labpipe.simulate.virtual_rigs import (
@@ -55,29 +55,22 @@ class StudySettings(Settings):
         "values",
         "noise levels: of a rig given by its FRF the share of the largest |H|, of others relative "
         "to the rig's noise",
-        unit="1",
+        "1",
     )
     runs: tuple[str, ...] = setting(
         "names", "runs of the virtual rig that together give one FRF matrix", default=()
     )
     lines: tuple[float, ...] = setting(
-        "values", "numbers of lines (rigs given by their FRF); default: the rig's", unit="1", default=()
+        "values", "numbers of lines (rigs given by their FRF); default: the rig's", "1", ()
     )
-    repeats: int = setting("integer", "repeats of each case", default=200)
-    seed: int = setting("integer", "seed of the noise", default=1)
-    success: tuple[float, ...] = setting(
-        "values", "relative deviations that count as success", unit="1", default=(0.1,)
-    )
+    repeats: int = integer("repeats of each case", 200)
+    seed: int = integer("seed of the noise", 1)
+    success: tuple[float, ...] = setting("values", "relative deviations that count as success", "1", (0.1,))
     share: float = quantity("success rate asked for", "1", 0.95)
     printed: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series",
-        "mean errors printed elsewhere, by fit, one for each noise level, to stand beside",
-        unit="1",
-        default=(),
+        "series", "mean errors printed elsewhere, by fit, one for each noise level, to stand beside", "1", ()
     )
-    thresholds: bool = setting(
-        "flag", "search the noise level where the success rate falls under the share", default=False
-    )
+    thresholds: bool = flag("search the noise level where the success rate falls under the share")
     virtual_rig: VirtualRig | None = None
 
     def __post_init__(self) -> None:

@@ -30,7 +30,7 @@ from labpipe.methods.balancing.influence import (
 from labpipe.project.marked_yaml import Marked, load_marked
 from labpipe.project.settings_reader import Faults, join, read_settings
 from labpipe.quantities import UnitError, parse_value, written_unit
-from labpipe.records.settings import Settings, parse_phasor, quantity, setting, text
+from labpipe.records.settings import Settings, integer, parse_phasor, quantity, setting, text
 from labpipe.registry import nearest
 
 LISTS = ("planes", "runs")
@@ -86,9 +86,9 @@ class PlaneSettings(Settings):
     """One entry of ``planes:``: where weights can be set in it."""
 
     radius: float | None = quantity("at which weights are set, for masses", "m", None)
-    places: int = setting("integer", "evenly spread places for weights; 0: any angle", default=0)
+    places: int = integer("evenly spread places for weights; 0: any angle", 0)
     first: float = quantity("angle of the first place", "rad", 0.0)
-    angles: tuple[float, ...] = setting("values", "or places at these angles", unit="rad", default=())
+    angles: tuple[float, ...] = setting("values", "or places at these angles", "rad", ())
     largest: float | None = quantity("most mass in one place", "kg", None)
 
     def __post_init__(self) -> None:

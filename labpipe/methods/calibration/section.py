@@ -21,7 +21,7 @@ from labpipe.raw_files.table import RawTable, check_columns, open_table
 from labpipe.records.finding import Finding, Parameter
 from labpipe.records.identification import PLANE, STRAIGHT_LINE, Fit, Goodness
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, quantity, setting, text
+from labpipe.records.settings import Settings, flag, integer, quantity, setting, text
 
 CURVATURE_P = 0.01
 # Residuals below this part of the points are rounding.
@@ -197,10 +197,8 @@ class CalibrationSettings(Settings):
     beside: str = text("column of a second set value: a plane y = slope x + slope_beside beside + intercept")
     beside_unit: str = text("unit of beside; default: in brackets behind the column's name")
     group: str = text("column by which the table falls into several lines")
-    x_power: int = setting(
-        "integer", "x enters as this power: 2 for a string's force over its frequency", default=1
-    )
-    through_origin: bool = setting("flag", "force the line through the origin", default=False)
+    x_power: int = integer("x enters as this power: 2 for a string's force over its frequency", 1)
+    through_origin: bool = flag("force the line through the origin")
     tolerance: float | None = quantity("slope change allowed in the linear range", "1", None)
     name: str = ""
     path: Path = Path()

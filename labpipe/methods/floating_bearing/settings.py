@@ -353,14 +353,14 @@ class DynamicStiffnessSettings(Settings):
     )
     motion: str = choice("that it acts on: against the shaft, or absolute (baseline)", MOTIONS, "relative")
     stator_mass: Uncertain | None = setting(
-        "uncertain", "mass of the stator with its uncertainty; default: `mass`", unit="kg", default=None
+        "uncertain", "mass of the stator with its uncertainty; default: `mass`", "kg", None
     )
     baseline: str = text("an earlier fit of what holds the stator, or its test")
     baseline_stiffness: Uncertain | None = setting(
-        "uncertain", "of what holds the stator, in x and y", unit="N/m", default=None
+        "uncertain", "of what holds the stator, in x and y", "N/m", None
     )
     baseline_damping: Uncertain | None = setting(
-        "uncertain", "of what holds the stator, in x and y", unit="N.s/m", default=None
+        "uncertain", "of what holds the stator, in x and y", "N.s/m", None
     )
     band_width: float | None = quantity("form bands: width of one; default: a tenth of the band", "Hz", None)
     forms: tuple[str, ...] = setting(
@@ -370,10 +370,7 @@ class DynamicStiffnessSettings(Settings):
         "speed of the shaft, from x to y; default: the test's condition `speed`", "Hz", None
     )
     rotor_mass: Uncertain | None = setting(
-        "uncertain",
-        "mass on the bearing, for the onset speed of whirl of a rotor on it",
-        unit="kg",
-        default=None,
+        "uncertain", "mass on the bearing, for the onset speed of whirl of a rotor on it", "kg", None
     )
     rotor_stiffness: float | None = quantity("stiffness of that rotor; default: rigid", "N/m", None)
     load: float | None = quantity(

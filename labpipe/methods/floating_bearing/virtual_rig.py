@@ -74,9 +74,9 @@ class FilmCondition(Settings):
     load: float = quantity("static load on the bearing, downwards (-y)", "N", 0.0)
     pressure: float = quantity("pressure drop or supply pressure, for the record", "Pa", 0.0)
     film: str = choice("K and C as given here, or of the rig's journal bearing", FILMS, "given")
-    stiffness: Matrix = setting("matrix", "K of the film (x, y)", unit="N/m", default=NONE)
-    damping: Matrix = setting("matrix", "C of the film", unit="N.s/m", default=NONE)
-    mass: Matrix = setting("matrix", "virtual mass M of the film", unit="kg", default=NONE)
+    stiffness: Matrix = setting("matrix", "K of the film (x, y)", "N/m", NONE)
+    damping: Matrix = setting("matrix", "C of the film", "N.s/m", NONE)
+    mass: Matrix = setting("matrix", "virtual mass M of the film", "kg", NONE)
     relaxation: Relaxation | None = section("relaxation, added in x and in y", Relaxation, None)
     pad: Pad | None = section("pad with inertia, added in x and in y", Pad, None)
 
@@ -120,25 +120,23 @@ class FloatingRig(Settings):
     journal: JournalSettings | None = section(
         "journal bearing between stator and shaft", JournalSettings, None
     )
-    baseline_stiffness: Matrix = setting(
-        "matrix", "of hoses and soft supports on the stator", unit="N/m", default=NONE
-    )
-    baseline_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=NONE)
+    baseline_stiffness: Matrix = setting("matrix", "of hoses and soft supports on the stator", "N/m", NONE)
+    baseline_damping: Matrix = setting("matrix", "of the same", "N.s/m", NONE)
     shaft_mass: float = quantity("mass that moves with the shaft", "kg", 40.0)
     shaft_stiffness: Matrix = setting(
-        "matrix", "of the shaft's own supports", unit="N/m", default=((2.4e8, 0.0), (0.0, 2.4e8))
+        "matrix", "of the shaft's own supports", "N/m", ((2.4e8, 0.0), (0.0, 2.4e8))
     )
-    shaft_damping: Matrix = setting("matrix", "of the same", unit="N.s/m", default=((2e4, 0.0), (0.0, 2e4)))
+    shaft_damping: Matrix = setting("matrix", "of the same", "N.s/m", ((2e4, 0.0), (0.0, 2e4)))
     shaft_noise: float = quantity(
         "rms of a random force on the shaft in x and in y, white in the band", "N", 0.0
     )
     unbalance: float = quantity("mass times eccentricity of the shaft", "kg.m", 0.0)
     runout: tuple[float, ...] = setting(
-        "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", unit="m", default=()
+        "values", "amplitudes of 1x, 2x, ... that the probes see of the shaft's surface", "m", ()
     )
     excitation: str = choice("recordings that are made unless they are named", tuple(RUNS_OF), "hadamard")
     force: float = quantity("rms force of one shaker", "N", 2000.0)
-    band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(10.0, 100.0))
+    band: tuple[float, float] = setting("band", "excited frequencies", "Hz", (10.0, 100.0))
     spacing: float = quantity("spacing of the excited lines", "Hz", 1.0)
     slope: float = quantity(
         "power of frequency with which the amplitude of the lines goes, -1 for 1/f", "1", 0.0

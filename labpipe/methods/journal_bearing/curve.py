@@ -39,16 +39,6 @@ TO_LOAD_FRAME = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class ScaledCoefficients:
-    """Stiffness K c / W and damping C c Omega / W [-], (..., 2, 2), and their derivatives by ln S."""
-
-    stiffness: FloatArray
-    damping: FloatArray
-    stiffness_slope: FloatArray
-    damping_slope: FloatArray
-
-
-@dataclass(frozen=True)
 class JournalCurve:
     """Coefficients over ln S at one length over diameter and groove width; made by `journal_curve`.
     spline: K c / W (4), C c Omega / W (4), eccentricity ratio, attitude [rad]; slope: its derivative.
@@ -57,15 +47,12 @@ class JournalCurve:
     spline: scipy.interpolate.BSpline
     slope: scipy.interpolate.BSpline
 
-    def coefficients(self, sommerfeld: FloatArray) -> ScaledCoefficients:
-        """Scaled coefficients [-] at Sommerfeld numbers (...) [-]; FitError outside the table."""
+    def coefficients(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """K c / W, then C c Omega / W, row by row [-] at Sommerfeld numbers (...) [-], and their derivatives
+        by ln S, (..., 8) each; FitError outside the table.
+        """
         place = self._place(sommerfeld)
-        values, slopes = (
-            spline(place)[..., :8].reshape(*place.shape, 2, 2, 2) for spline in (self.spline, self.slope)
-        )
-        return ScaledCoefficients(
-            values[..., 0, :, :], values[..., 1, :, :], slopes[..., 0, :, :], slopes[..., 1, :, :]
-        )
+        return self.spline(place)[..., :8], self.slope(place)[..., :8]
 
     def rest(self, sommerfeld: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Eccentricity ratio [-] and attitude [rad] from the load with the spin, same shape; FitError outside
@@ -158,16 +145,6 @@ class TableRange:
 
 
 @dataclass(frozen=True)
-class TableCoefficients:
-    """stiffness [N/m], damping [N s/m], (2, 2); derivatives (5, 2, 2) by PARAMETERS [SI units]."""
-
-    stiffness: FloatArray
-    damping: FloatArray
-    stiffness_slopes: FloatArray
-    damping_slopes: FloatArray
-
-
-@dataclass(frozen=True)
 class JournalTable:
     """Scaled coefficients K c / W and C c Omega / W [-], made by `journal_table`; active: indices of the AXES
     with more than one node; low, high (4,): their ranges; spline: K, then C.
@@ -182,9 +159,10 @@ class JournalTable:
 
     def coefficients(
         self, bearing: JournalBearing, speed: float, size: float | None = None
-    ) -> TableCoefficients:
-        """Coefficients of a bearing that differs from the table's by PARAMETERS, at *speed* [rad/s] and a
-        load of *size* [N], by default the table's. FitError outside the table. Equation (jour-table).
+    ) -> tuple[FloatArray, FloatArray]:
+        """Stiffness [N/m] and damping [N s/m] (2, 2, 2) of a bearing that differs from the table's by
+        PARAMETERS, at *speed* [rad/s] and a load of *size* [N], by default the table's, and their derivatives
+        (2, 5, 2, 2) by PARAMETERS [SI units]. FitError outside the table. Equation (jour-table).
         """
         weight = float(np.hypot(*self.load)) if size is None else size
         point, slopes = _place(bearing, weight, speed)
@@ -196,8 +174,7 @@ class JournalTable:
         scale = weight / bearing.clearance * np.repeat([1, 1 / speed], 4)
         by_parameter = (slopes @ by_axis) * scale
         by_parameter[PARAMETERS.index("clearance")] -= values * scale / bearing.clearance
-        split = (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2)
-        return TableCoefficients(split[0][0], split[0][1], split[1][:, 0], split[1][:, 1])
+        return (values * scale).reshape(2, 2, 2), by_parameter.reshape(-1, 2, 2, 2).swapaxes(0, 1)
 
     def _inside(self, point: FloatArray) -> FloatArray:
         slack = 1e-9 * (1 + np.abs(self.high))

@@ -26,7 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, choice, quantity, section, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, settings_of, text
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -46,7 +46,7 @@ ASSUMPTIONS = (
 class Magnet(Settings):
     """Geometry of a radial hybrid magnet: four poles per ring, a permanent magnet between the two rings."""
 
-    turns: int = setting("integer", "turns of the coil on each pole")
+    turns: int = integer("turns of the coil on each pole")
     gap: float = quantity("effective air gap of the centred rotor", "m")
     pole_area: float = quantity("area of one pole", "m^2")
     bias_current: float = quantity("steady current that adds to the permanent magnet's flux", "A", 0.0)

@@ -37,7 +37,7 @@ from labpipe.methods.magnetic_bearing.loop_fit import (
 )
 from labpipe.methods.magnetic_bearing.loop_problem import with_unknowns
 from labpipe.methods.magnetic_bearing.measured_margins import measured_margins, unsure_crossings
-from labpipe.methods.magnetic_bearing.sampled_loop import Suspended
+from labpipe.methods.magnetic_bearing.sampled_loop import Suspended, sampled_loop
 from labpipe.records.comparison import Comparison, QuantityCurve
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.response import FrequencyResponse
@@ -160,7 +160,7 @@ def loop_poles(plant: Suspended, rate: float | None) -> ComplexArray:
     """Poles s [rad/s] (n_pole,) of the sampled loop, without a rate by Pade approximation of the delay."""
     if rate is None:
         return stability.closed_loop_poles(plant)
-    return stability.sampled_poles(stability.sample(plant, rate), rate)
+    return stability.sampled_poles(sampled_loop(plant, rate).a, rate)
 
 
 def modes_of(poles: ComplexArray, highest: float) -> ComplexArray:

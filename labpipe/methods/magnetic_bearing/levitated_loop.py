@@ -31,9 +31,9 @@ class BendingMode(Settings):
 
     frequency: float = quantity("natural frequency w_0", "Hz")
     at_bearings: tuple[float, ...] = setting(
-        "values", "its shape at both bearings, for a modal mass of 1 kg", unit="1"
+        "values", "its shape at both bearings, for a modal mass of 1 kg", "1"
     )
-    at_sensors: tuple[float, ...] = setting("values", "its shape at both sensors", unit="1")
+    at_sensors: tuple[float, ...] = setting("values", "its shape at both sensors", "1")
     damping_ratio: float = quantity("damping ratio of the mode", "1", 0.003)
     at_unbalance: float = quantity("its shape at the unbalance", "1", 0.0)
 
@@ -50,8 +50,8 @@ class LongRotor(Settings):
     """A rotor on two bearings: its inertias, and places along the axis from the centre of gravity on."""
 
     inertia: float = quantity("transverse moment of inertia about the centre of gravity", "kg.m^2")
-    bearings: tuple[float, ...] = setting("values", "places of the two bearings", unit="m")
-    sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", unit="m")
+    bearings: tuple[float, ...] = setting("values", "places of the two bearings", "m")
+    sensors: tuple[float, ...] = setting("values", "places of the two sensors, of either axis", "m")
     polar_inertia: float = quantity("polar moment of inertia", "kg.m^2", 0.0)
     bending: BendingMode | None = section("a bending mode", BendingMode, None)
 
@@ -78,7 +78,7 @@ class SampledPid(Settings):
         "integer", "whole intervals from a reading to the output computed from it", default=1
     )
     mixing: tuple[tuple[float, ...], ...] | None = setting(
-        "matrix", "X, from readings to axes of control (order of the axes)", unit="1", default=None
+        "matrix", "X, from readings to axes of control (order of the axes)", "1", None
     )
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class Injection(Settings):
     rms: float = quantity("rms at the output [A]; at the input [m] it is this times `per_ampere`", "A", 0.1)
     place: str = choice("where it is added", PLACES, "output")
     per_ampere: float = quantity("displacement added at the input for 1 A", "m/A", 1e-4)
-    band: tuple[float, float] = setting("band", "excited frequencies", unit="Hz", default=(5.0, 500.0))
+    band: tuple[float, float] = setting("band", "excited frequencies", "Hz", (5.0, 500.0))
     spacing: float = quantity("spacing of the lines of a multisine", "Hz", 1.0)
     periods: int = setting("integer", "periods of a multisine recorded, all of them steady", default=20)
     duration: float = quantity("length of the other runs", "s", 20.0)
@@ -135,9 +135,7 @@ class LevitatedRig(Settings):
     speed: float = quantity("shaft speed", "Hz", 0.0)
     unbalance: float = quantity("mass times eccentricity", "kg.m", 0.0)
     unbalance_place: float = quantity("its place along the axis", "m", 0.0)
-    runout: tuple[float, ...] = setting(
-        "values", "amplitudes of 1x, 2x, ... that the sensors see", unit="m", default=()
-    )
+    runout: tuple[float, ...] = setting("values", "amplitudes of 1x, 2x, ... that the sensors see", "m", ())
     sample_rate: float = quantity(
         "sampling rate of the recording: the controller's over a whole number", "Hz", 2000.0
     )
@@ -283,20 +281,12 @@ def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
 
 
 @dataclass(frozen=True)
-class LevitatedLoop:
-    """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz].
-
-    w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m],
+class LevitatedLoop(sampled_loop.SampledLoop):
+    """w: generalised forces [N] at this and at the next sample, what sensors see besides the motion [m],
     injection at the controller's input [m] and output [A]; z: output of the controller [A], then motion [m]
-    and current [A] BETWEEN times in the interval; all but the forces n_axis each. a (n_state, n_state), b
-    (n_state, n_input), c (n_output, n_state), d (n_output, n_input). Equation (sim-step).
+    and current [A] BETWEEN times in the interval; all but the forces *n_axis* each. Equation (sim-step).
     """
 
-    a: FloatArray
-    b: FloatArray
-    c: FloatArray
-    d: FloatArray
-    rate: float
     n_axis: int
 
     @property
@@ -306,7 +296,7 @@ class LevitatedLoop:
         values = values[np.abs(values) > sampled_loop.ROUNDING]
         return self.rate * np.log(values.astype(np.complex128))
 
-    def run(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def signals(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Output of the controller with what is added (n_sample, n_axis) [A], motion at the sensors [m] and
         current [A] BETWEEN times as often, of *inputs* (n_sample, n_input) [N, m, m, A], from rest;
         ConfigError where unstable.
@@ -316,7 +306,7 @@ class LevitatedLoop:
             what = f"the levitated rotor is unstable: its fastest pole grows by e in {1e3 / growth:.3g} ms"
             hint = "raise proportional and derivative gain, or shorten the delay"
             raise SettingError("control", what, hint)
-        outputs = sampled_loop.linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
+        outputs = self.respond(inputs)
         fine = outputs[:, self.n_axis :].reshape(-1, 2, self.n_axis)
         return outputs[:, : self.n_axis], fine[:, 0], fine[:, 1]
 

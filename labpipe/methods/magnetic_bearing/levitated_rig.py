@@ -49,7 +49,7 @@ def _run(rig: LevitatedRig, name: str, rng: np.random.Generator) -> Recording:
         push = _random(rig, rig.shaker, (length + 1, n_axis), rng, straight_lines=True)
     sensor_noise = rng.normal(0.0, np.sqrt(rig.decimation) * rig.noise.displacement, added.shape)
     seen = sensor_noise + _runout(rig, angle[:-1])
-    output, motion, current = levitated_loop(rig).run(_inputs(rig, angle, push, seen, added, rng))
+    output, motion, current = levitated_loop(rig).signals(_inputs(rig, angle, push, seen, added, rng))
     fine = _log(rig, np.hstack([current, motion]), BETWEEN, n_sample)
     coarse: list[FloatArray] = [seen]
     if rig.output_recorded:

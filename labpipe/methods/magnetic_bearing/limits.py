@@ -24,7 +24,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, choice, quantity, setting, text
+from labpipe.records.settings import Settings, choice, flag, quantity, setting, text
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -50,9 +50,7 @@ class LoopCertificateSettings(Settings):
     rate: float | None = quantity(
         "sampling rate of the controller; default: that of discrete blocks", "Hz", None
     )
-    filtered: bool = setting(
-        "flag", "current and displacement were recorded through a filter against aliasing", default=False
-    )
+    filtered: bool = flag("current and displacement were recorded through a filter against aliasing")
     log_decrement: float | None = quantity(
         "least logarithmic decrement of every mode; default: 0.1 with a model or a fit, else none", "1", None
     )

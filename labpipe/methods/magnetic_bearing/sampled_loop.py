@@ -42,8 +42,9 @@ class Suspended:
 @dataclass(frozen=True)
 class SampledLoop:
     """s[k+1] = A s[k] + B w[k], z[k] = C s[k] + D w[k] at *rate* [Hz]; w: INPUTS [N, N, m, V], z: OUTPUTS [m,
-    V, V, V, A]. a (n_state, n_state), b (n_state, 4), c (5, n_state), d (5, 4). The force is linear between
-    samples, *injection* is added between the probe ("before") and the controller ("after").
+    V, V, V, A]. a (n_state, n_state), b (n_state, n_input), c (n_output, n_state), d (n_output, n_input). The
+    force is linear between samples, *injection* is added between the probe ("before") and the controller
+    ("after").
     """
 
     a: FloatArray
@@ -52,19 +53,24 @@ class SampledLoop:
     d: FloatArray
     rate: float
 
+    def respond(self, inputs: FloatArray) -> FloatArray:
+        """z (n_sample, n_output) [its units] of *inputs* w (n_sample, n_input) [its units], from rest."""
+        return linear_states(self.a, inputs @ self.b.T) @ self.c.T + inputs @ self.d.T
+
     def run(self, inputs: FloatArray) -> FloatArray:
         """Outputs (n_sample, n_direction, 5) [m, V, V, V, A] of inputs (n_sample, n_direction, 4) [N, N, m,
-        V], from rest. ConfigError for an unstable loop.
+        V], from rest. ConfigError for an unstable loop, and for one of two directions.
         """
+        if self.b.shape[1] > len(INPUTS):
+            hint = "leave cross out"
+            raise SettingError("cross", "a cross-coupled controller has no loop of one direction", hint)
         largest = float(np.max(np.abs(np.linalg.eigvals(self.a))))
         if largest > 1 + ROUNDING:
             rate = np.log(largest) * self.rate
             what = f"the loop is unstable: its fastest pole grows by e in {1e3 / rate:.3g} ms"
             hint = "`labpipe bearing` shows the poles of its bearing file"
             raise ConfigError(f"{what}, so there is no recording of it", hint=hint)
-        directions = (inputs @ self.b.T).swapaxes(0, 1)
-        states = np.stack([linear_states(self.a, driven) for driven in directions], axis=1)
-        return states @ self.c.T + inputs @ self.d.T
+        return np.stack([self.respond(driven) for driven in inputs.swapaxes(0, 1)], axis=1)
 
 
 def linear_states(step: FloatArray, driven: FloatArray) -> FloatArray:
@@ -115,59 +121,35 @@ class SampledPlant:
 
 
 def sampled_loop(plant: Suspended, rate: float = CONTROL_RATE) -> SampledLoop:
-    """The closed loop of one direction. ConfigError for what cannot be sampled, see `sampled_matrix`."""
-    if plant.loop.cross is not None:
-        hint = "leave cross out"
-        raise SettingError("cross", "a cross-coupled controller has no loop of one direction", hint)
-    law = sampled_law(plant.loop, rate, plant.loop.blocks())
-    held, whole = sampled_plant(plant, rate)
-    n, end = len(held.step), len(held.step) + len(law.a)
-
-    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # Motion, the controller's memory, voltages on their way, oldest first.
-        motion, memory, waiting = np.split(state, [n, end])
-        reading = motion[held.probe] + inputs[2]
-        before = plant.loop.sensor * reading
-        after = before + inputs[3]
-        output = float(law.c @ memory + law.d * after)
-        # The voltage that arrives within this interval takes over from the one before it.
-        line = np.append(waiting, output)
-        moved = held.step @ motion + held.hold @ line[:2] + held.ramp @ inputs[:2]
-        moved = np.concatenate([moved, law.a @ memory + law.b * after, line[1:]])
-        return moved, np.array([reading, before, after, output, motion[2]])
-
-    return SampledLoop(*step_matrices(step, end + whole + 1, len(INPUTS)), rate)
-
-
-def sampled_matrix(plant: Suspended, rate: float) -> FloatArray:
-    """A of s[k+1] = A s[k] of both directions under a controller matrix, (n_state, n_state) [1]; its
-    eigenvalues are z of the closed loop.
-
+    """The closed loop of one direction, under a controller matrix of both; the eigenvalues of its A are z.
     ConfigError for a delay shorter than the hold, more zeros than poles, and blocks at another rate.
     """
+    axes = "x" if plant.loop.cross is None else "xy"
     motion, whole = sampled_plant(plant, rate)
-    n, line = motion.step.shape[0], whole + 1
-    laws = [[sampled_law(plant.loop, rate, plant.loop.blocks(o, i), zero=o != i) for i in "xy"] for o in "xy"]
-    sizes = [len(law.a) for row in laws for law in row]
-    ends = 2 * (n + line) + np.cumsum([0, *sizes])
+    laws = [
+        (o, i, sampled_law(plant.loop, rate, plant.loop.blocks(axes[o], axes[i]), zero=o != i))
+        for o, i in np.ndindex(len(axes), len(axes))
+    ]
+    ends = np.cumsum([len(axes) * len(motion.step), *(len(law.a) for _, _, law in laws)])
 
-    def step(state: FloatArray) -> FloatArray:
-        moved = np.empty_like(state)
-        before = [plant.loop.sensor * state[k * n + motion.probe] for k in range(2)]
-        for k in range(2):
-            output = 0.0
-            for j in range(2):
-                law, memory = laws[k][j], slice(ends[2 * k + j], ends[2 * k + j + 1])
-                output += law.c @ state[memory] + law.d * before[j]
-                moved[memory] = law.a @ state[memory] + law.b * before[j]
-            waiting = slice(2 * n + k * line, 2 * n + (k + 1) * line)
-            voltages = np.append(state[waiting], output)
-            part = slice(k * n, (k + 1) * n)
-            moved[part] = motion.step @ state[part] + motion.hold @ voltages[:2]
-            moved[waiting] = voltages[1:]
-        return moved
+    def step(state: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        # By direction: motion, the controller's memory, voltages on their way, oldest first.
+        moving, *memories, waiting = np.split(state, ends)
+        at, (*forces, noise, injection) = moving.reshape(len(axes), -1), inputs.reshape(-1, len(axes))
+        reading, output = at[:, motion.probe] + noise, np.zeros(len(axes))
+        before = plant.loop.sensor * reading
+        after = before + injection
+        for number, (o, i, law) in enumerate(laws):
+            output[o] += law.c @ memories[number] + law.d * after[i]
+            memories[number] = law.a @ memories[number] + law.b * after[i]
+        # The voltage that arrives within this interval takes over from the one before it.
+        line = np.column_stack([waiting.reshape(len(axes), -1), output])
+        moved = at @ motion.step.T + line[:, :2] @ motion.hold.T + np.transpose(forces) @ motion.ramp.T
+        outputs = np.concatenate([reading, before, after, output, at[:, 2]])
+        return np.concatenate([moved.ravel(), *memories, line[:, 1:].ravel()]), outputs
 
-    return np.column_stack([step(unit) for unit in np.eye(ends[-1])])
+    n_state = int(ends[-1]) + len(axes) * (whole + 1)
+    return SampledLoop(*step_matrices(step, n_state, len(INPUTS) * len(axes)), rate)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from labpipe.errors import SettingError
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, choice, quantity, setting
+from labpipe.records.settings import Settings, choice, flag, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain
 from labpipe.spectra.settings import SPECTRA
@@ -28,12 +28,12 @@ class MagnetSettings(Settings):
         BEARING,
     )
     _: KW_ONLY
-    passive_damping: bool = setting("flag", "estimate the damping at the magnets as well", default=False)
+    passive_damping: bool = flag("estimate the damping at the magnets as well")
     inertia: Uncertain | None = setting(
         "uncertain",
         "rigid rotor on two bearings: transverse moment of inertia about its centre of gravity",
-        unit="kg.m^2",
-        default=None,
+        "kg.m^2",
+        None,
     )
     centre: float = quantity(
         "place of the centre of gravity, from where the channels' positions are", "m", 0.0

@@ -25,7 +25,6 @@ from labpipe.methods.magnetic_bearing.sampled_loop import (
     Suspended,
     sampled_law,
     sampled_loop,
-    sampled_matrix,
     sampled_plant,
 )
 from labpipe.methods.magnetic_bearing.transfer import ControllerBlock, connect_series
@@ -103,18 +102,13 @@ def _polynomials(blocks: tuple[ControllerBlock, ...], time: float) -> tuple[Poly
     return continuous.gain * time ** (len(continuous.poles) - len(continuous.zeros)) * above, below
 
 
-def sample(plant: Suspended, rate: float) -> FloatArray:
-    """Matrix (n_state, n_state) [1] from sample to sample, of both directions for a controller matrix."""
-    return sampled_loop(plant, rate).a if plant.loop.cross is None else sampled_matrix(plant, rate)
-
-
 def closed_loop_poles(plant: Suspended) -> ComplexArray:
     """Poles s of mass and loop, least damped first, (n_pole,) [rad/s]; the delay as Pade approximation. With
     discrete blocks s = f_s ln z of the sampled loop, without approximation.
     """
     rate = plant.loop.rate
     if rate is not None:
-        return ordered_poles(sampled_poles(sample(plant, rate), rate))
+        return ordered_poles(sampled_poles(sampled_loop(plant, rate).a, rate))
     time = 1e-3
     return ordered_poles(np.asarray(characteristic_polynomial(plant, time).roots(), np.complex128) / time)
 
@@ -138,7 +132,7 @@ def unstable_poles(plant: Suspended) -> int:
     """
     loop = plant.loop
     if loop.rate is not None:
-        return int(np.sum(np.abs(np.linalg.eigvals(sample(plant, loop.rate))) > 1 + MARGINAL))
+        return int(np.sum(np.abs(np.linalg.eigvals(sampled_loop(plant, loop.rate).a)) > 1 + MARGINAL))
     omega = 2 * np.pi * np.geomspace(*TURNING)
     inertia = plant.mass * omega**2
     if loop.cross is None:

@@ -14,7 +14,7 @@ from scipy import linalg
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, choice, quantity, setting
+from labpipe.records.settings import Settings, choice, integer, quantity, setting
 
 # Size of a zero over that of the largest pole beyond which its coefficient is rounding.
 FAR = 1e12
@@ -238,10 +238,10 @@ class ControllerBlock(Settings):
     )
     gain: float = quantity("roots: factor before (s - zeros) / (s - poles); gain: the gain", "1", 1.0)
     numerator: tuple[float, ...] = setting(
-        "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
+        "values", "polynomial: coefficients in descending powers of s, or z", "1", ()
     )
     denominator: tuple[float, ...] = setting(
-        "values", "polynomial: coefficients in descending powers of s, or z", unit="1", default=()
+        "values", "polynomial: coefficients in descending powers of s, or z", "1", ()
     )
     rate: float | None = quantity(
         "roots, polynomial: sampling rate, which makes them functions of z", "Hz", None
@@ -253,7 +253,7 @@ class ControllerBlock(Settings):
     zero: float | None = quantity("lead-lag: corner frequency of the numerator", "Hz", None)
     pole: float | None = quantity("lead-lag: corner frequency of the denominator", "Hz", None)
     frequency: float | None = quantity("low-pass: corner; notch: centre", "Hz", None)
-    order: int = setting("integer", "low-pass: 1 or 2", default=1)
+    order: int = integer("low-pass: 1 or 2", 1)
     damping: float = quantity("low-pass of order 2: damping ratio", "1", 2**-0.5)
     depth: float = quantity("notch: gain at the centre", "1", 0.0)
     width: float = quantity("notch: width at -3 dB over the centre frequency", "1", 0.2)

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing.loop import ControlLoop, dynamic_stiffness, inferred_negative_stiffness
-from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, StandardDeviations, choice, integer, quantity, section, text
 from labpipe.simulate import linear
 
 KIND = "virtual-magnetic-rig"
@@ -29,7 +29,7 @@ class Levitation(Settings):
     static: float = quantity("static stiffness k_0 of one bearing", "N/m", 1694.0)
     dynamic: float = quantity("stiffness gained far above the corner, k_1", "N/m", 110e3)
     corner: float = quantity("corner frequency f_c", "Hz", 150.0)
-    bearings: int = setting("integer", "equal bearings in parallel", default=2)
+    bearings: int = integer("equal bearings in parallel", 2)
     loop: ControlLoop = section("the position control (law control-loop)", ControlLoop, ControlLoop())
 
     def __post_init__(self) -> None:

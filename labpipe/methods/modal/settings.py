@@ -24,7 +24,7 @@ class ModalSettings(Settings):
         "span", "highest order of the stabilisation diagram, or lowest and highest", default=(1, 60)
     )
     poles: tuple[float, ...] = setting(
-        "values", "natural frequencies chosen by hand, or auto", unit="Hz", choices=("auto",), default=()
+        "values", "natural frequencies chosen by hand, or auto", "Hz", (), choices=("auto",)
     )
     shapes: str = choice(
         "complex, or real as with damping in proportion to mass and stiffness", ("complex", "real"), "complex"

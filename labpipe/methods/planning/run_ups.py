@@ -41,7 +41,7 @@ from labpipe.methods.run_ups.rotor import (
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -70,7 +70,7 @@ class TrialSettings(Settings):
     """One way to excite the rotor: a trial unbalance, or a shaker whose force does not turn."""
 
     unbalance: tuple[tuple[str, complex], ...] = setting(
-        "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", unit="kg.m", default=()
+        "phasors", "by plane: {disc 1: 50 g.mm at 0 deg}", "kg.m", ()
     )
     shaker: str = text("plane on which a shaker acts, along x, instead")
     force: float = quantity("of the shaker, 0-to-peak", "N", 1.0)
@@ -92,27 +92,25 @@ class RunUpPlanSettings(Settings):
     model: str = choice("what will be identified: the oil film over load and speed", (RUN_UPS,))
     rotor: str = setting("file", "rotor file with pins", file_kind="run-up-rotor", into="rig")
     _: KW_ONLY
-    loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
-    speeds: tuple[float, float] = setting("band", "speeds that can be run", unit="Hz")
+    loads: tuple[float, ...] = setting("values", "static loads that can be set", "N")
+    speeds: tuple[float, float] = setting("band", "speeds that can be run", "Hz")
     step: float = quantity("from one speed of a run to the next", "Hz")
     dwell: float = quantity("time at one speed", "s")
     duration: float = quantity("of all runs together", "s")
     trials: tuple[tuple[str, TrialSettings], ...] = setting(
         "sections", "ways to excite the rotor, by name", section=TrialSettings, default=(), needed=True
     )
-    stretches: int = setting("integer", "parts of the speeds that can be run by themselves", default=3)
+    stretches: int = integer("parts of the speeds that can be run by themselves", 3)
     changeover: float = quantity("time between runs", "s", 0.0)
-    to_threshold: bool = setting(
-        "flag", "the highest stretch may be run on until the rotor becomes unstable", default=False
-    )
+    to_threshold: bool = flag("the highest stretch may be run on until the rotor becomes unstable")
     displacement_limit: float | None = quantity("largest at a plane, 0-to-peak; default: none", "m", None)
     journal_limit: float | None = quantity("largest of the journal, 0-to-peak; default: none", "m", None)
     noise: ReadingSettings = section("of a reading", ReadingSettings, ReadingSettings())
     expected: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "factors on the rotor file's film, exponents of the viscosity; default: the rotor file",
-        unit="1",
-        default=(),
+        "1",
+        (),
     )
     earlier: str = setting(
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
@@ -124,8 +122,8 @@ class RunUpPlanSettings(Settings):
         "series",
         "relative standard errors that are wanted: {k_xy: 5 %, threshold: 1 %}; default: all parameters "
         "alike",
-        unit="1",
-        default=(),
+        "1",
+        (),
     )
     criterion: str = criterion_setting()
     rig: RunUpRotor | None = None

@@ -12,7 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import FLOATING, axes_of_model, excitable_models, is_floating
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, Uncertainties, choice, flag, quantity, section, setting, text
 from labpipe.registry import Registry
 
 # What else can be planned than the excitation of a model linear in its coefficients.
@@ -60,7 +60,7 @@ class DensitySettings(Settings):
 
 def criterion_setting() -> Any:
     help = "least largest error, sum of squares, or volume"
-    return setting("choice", help, choices=CRITERIA, default=MINIMAX)
+    return choice(help, CRITERIA, MINIMAX)
 
 
 def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
@@ -114,9 +114,7 @@ class SignalSettings(Settings):
     noise: NoiseSettings | None = section("noise of the sensors per sample", NoiseSettings, None)
     noise_density: DensitySettings | None = section("or its density", DensitySettings, None)
     criterion: str = criterion_setting()
-    exclude: tuple[tuple[float, float], ...] = setting(
-        "bands", "frequencies that are not excited", unit="Hz", default=()
-    )
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", "Hz", ())
     mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
 
 
@@ -128,7 +126,7 @@ class PlanSettings(SignalSettings):
 
     model: str = choice("what will be identified", (*excitable_models(), FLOATING))
     _: KW_ONLY
-    band: tuple[float, float] = setting("band", "frequencies that may be excited", unit="Hz")
+    band: tuple[float, float] = setting("band", "frequencies that may be excited", "Hz")
     duration: float = quantity("of all measured periods together", "s")
     force_limit: float = quantity("largest force of a shaker, 0-to-peak, also between samples", "N")
     displacement_limit: float | None = quantity(
@@ -140,9 +138,7 @@ class PlanSettings(SignalSettings):
         "file", "identification.json whose values are expected where `expected` has none", default=""
     )
     fit: str = text("the fit of `earlier`; default: its only one")
-    combine_earlier: bool = setting(
-        "flag", "the earlier result counts: it and the new test are combined", default=False
-    )
+    combine_earlier: bool = flag("the earlier result counts: it and the new test are combined")
     theory: ExpectedTheorySettings | None = section(
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
         ExpectedTheorySettings,
@@ -161,8 +157,8 @@ class PlanSettings(SignalSettings):
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors by noise, or expanded: {k: 2 %, c.expanded: 3 %}; default: all alike",
-        unit="1",
-        default=(),
+        "1",
+        (),
     )
     floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
     shakers: tuple[str, ...] = setting(

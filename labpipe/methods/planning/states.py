@@ -35,7 +35,7 @@ from labpipe.methods.planning.settings import (
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import choice, quantity, setting, settings_of
+from labpipe.records.settings import choice, integer, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -53,10 +53,10 @@ class StatePlanSettings(SignalSettings):
         file_kind="bearing",
     )
     _: KW_ONLY
-    loads: tuple[float, ...] = setting("values", "static loads that can be set", unit="N")
-    speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
+    loads: tuple[float, ...] = setting("values", "static loads that can be set", "N")
+    speeds: tuple[float, ...] = setting("values", "speeds that can be run", "Hz")
     mass: float = quantity("mass of the stator", "kg")
-    band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", unit="Hz")
+    band: tuple[float, float] = setting("band", "frequencies that are excited, all alike", "Hz")
     run: float = quantity("measured time of one run in one state", "s")
     duration: float = quantity("of all runs with what lies between them", "s")
     force_limit: float = quantity("largest force of a shaker, 0-to-peak", "N")
@@ -72,11 +72,11 @@ class StatePlanSettings(SignalSettings):
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
         "series",
         "relative standard errors that are wanted: {k_xy: 2 %, clearance: 1 %}; default: all alike",
-        unit="1",
-        default=(),
+        "1",
+        (),
     )
     scheme: str = choice("how both shakers run at once", (INTERLEAVED, TOGETHER), INTERLEAVED)
-    skip: int = setting("integer", "transient periods before the measured ones, in every run", default=1)
+    skip: int = integer("transient periods before the measured ones, in every run", 1)
 
     def __post_init__(self) -> None:
         check_distinct(self, "loads", "speeds", *(["estimate"] if self.estimate else []))

@@ -18,7 +18,6 @@ import yaml
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.writing import OutputFolder
-from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import SettingError
 from labpipe.methods.journal_bearing.bearing import journal_equilibrium
 from labpipe.methods.journal_bearing.film import FilmMesh
@@ -31,11 +30,10 @@ from labpipe.methods.planning.runs import Answered, CandidateRun, Change, RunQua
 from labpipe.methods.planning.settings import PlanKind, check_distinct, criterion_setting
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, worn_place
-from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.wear.model import PLACES, rotor_response
 from labpipe.methods.wear.settings import ANGLE, DEPTH, NUISANCES, UNITS, nuisance
 from labpipe.methods.wear.tables import VaryingSupport, film_slopes
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 
 WORN = "worn-bearing"
@@ -72,21 +70,18 @@ class WearPlanSettings(Settings):
     rotor: str = setting("file", "rotor file", file_kind="rotor", into="rig")
     _: KW_ONLY
     expected: Wear = section("depth and angle that are expected", Wear)
-    speeds: tuple[float, ...] = setting("values", "speeds that can be run", unit="Hz")
+    speeds: tuple[float, ...] = setting("values", "speeds that can be run", "Hz")
     duration: float = quantity("of all tests together", "s")
     sample_rate: float = quantity("of the recordings", "Hz")
     bands: tuple[tuple[float, float], ...] = setting(
-        "bands", "bands that can be excited, one at a time", unit="Hz"
+        "bands", "bands that can be excited, one at a time", "Hz"
     )
     force: float = quantity("rms of the shaker's white force, in whatever band", "N")
     bearing: str = text("name of the worn bearing; default: the last one")
     loads: tuple[float, ...] = setting(
-        "values",
-        "static forces on the shaft that can be set, up; default: as in the file",
-        unit="N",
-        default=(),
+        "values", "static forces on the shaft that can be set, up; default: as in the file", "N", ()
     )
-    load_node: int = setting("integer", "node of that static force; default: that of the shaker", default=0)
+    load_node: int = integer("node of that static force; default: that of the shaker", 0)
     run: float = quantity("length of one run, under a force in y and again in z", "s", 60.0)
     changeover: float = quantity("time between tests", "s", 0.0)
     block: float = quantity("block length of the responses", "s", 4.0)
@@ -202,15 +197,14 @@ class ExpectedWear:
         """A bearing with the derivatives of its coefficients by the parameters."""
         slopes = np.zeros((2, len(self.values), 2, 2))
         if not place.is_film:
-            fixed = place.bearing.at(OperatingPoint(load, self.rig.omega, self.rig.omega))
-            return VaryingSupport(NodeSupport(place.node, fixed.stiffness, fixed.damping), *slopes)
+            return VaryingSupport(place.support(load, self.rig.omega), *slopes)
         others = ("beta",) if place.name == self.bearing else ("beta", DEPTH, ANGLE)
         names = [name for name in self.values if name not in others]
         bearing = replace(place.film("wear"), **{name: self.values[name] for name in names})
         film = journal_equilibrium(bearing, load, self.rig.omega, mesh)
         for name, slope in film_slopes(film, names).items():
             slopes[:, tuple(self.values).index(name)] = slope
-        return VaryingSupport(NodeSupport(place.node, film.stiffness, film.damping), *slopes)
+        return VaryingSupport(place.springs(film), *slopes)
 
 
 def information(

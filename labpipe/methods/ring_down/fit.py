@@ -22,7 +22,7 @@ from labpipe.records.finding import IntervalParts, Parameter
 from labpipe.records.fit_details import OverAmplitude, RingDown
 from labpipe.records.identification import Fit, Goodness
 from labpipe.records.response import Port
-from labpipe.records.settings import Settings, choice, setting
+from labpipe.records.settings import Settings, choice, integer
 from labpipe.records.spectra import FreeDecays
 from labpipe.spectra.settings import DECAYS
 
@@ -33,7 +33,7 @@ MOST_MODES = 8
 class DecaySettings(Settings):
     """What a free decay consists of."""
 
-    modes: int = setting("integer", "modes that decay together", default=1)
+    modes: int = integer("modes that decay together", 1)
     repeats: str = choice(
         "several decays: each fitted, and their mean; or pool, one fit of all", ("each", "pool"), "each"
     )

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.arrays import FloatArray
 from labpipe.errors import SettingError
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, choice, quantity, setting, text
+from labpipe.records.settings import Settings, choice, integer, quantity, setting, text
 from labpipe.simulate.virtual_rigs import Simulation, VirtualRigKind, generator, whole_numbers
 
 KIND = "virtual-decay-rig"
@@ -28,15 +28,15 @@ class DecayRig(Settings):
 
     kind: str = choice("which virtual rig", (KIND,))
     frequencies: tuple[float, ...] = setting(
-        "values", "natural frequencies; the runs struck and joint have the first alone", unit="Hz"
+        "values", "natural frequencies; the runs struck and joint have the first alone", "Hz"
     )
-    damping_ratios: tuple[float, ...] = setting("values", "damping ratio of every mode", unit="1")
+    damping_ratios: tuple[float, ...] = setting("values", "damping ratio of every mode", "1")
     _: KW_ONLY
     name: str = text("name of the rig", "Virtual mass on springs, struck")
     mass: float = quantity("mass that moves", "kg", 2.0)
     amplitude: float = quantity("amplitude of every mode after the first hit", "m", 1e-4)
     joint: float = quantity("damping ratio that the joint adds at that amplitude", "1", 0.003)
-    hits: int = setting("integer", "hits in a run", default=3)
+    hits: int = integer("hits in a run", 3)
     interval: float = quantity("time from hit to hit", "s", 4.0)
     weaker: float = quantity("amplitude of a hit over that of the one before", "1", 0.8)
     offset: float = quantity("offset of the probe", "m", 2e-5)

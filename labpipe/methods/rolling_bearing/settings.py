@@ -17,7 +17,7 @@ from scipy import special
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rolling_bearing.loads import DOFS, LOADS, RigidShaft, RollingBearing
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -234,10 +234,8 @@ class ShaftSettings(Settings):
     mass: float = quantity("mass of the shaft", "kg")
     inertia_x: float = quantity("moment of inertia about x", "kg.m^2")
     inertia_y: float | None = quantity("moment of inertia about y; default: as about x", "kg.m^2", None)
-    band: tuple[float, float] = setting(
-        "band", "frequencies of the transfer matrix", unit="Hz", default=(5.0, 3000.0)
-    )
-    lines: int = setting("integer", "frequency lines in the band", default=1200)
+    band: tuple[float, float] = setting("band", "frequencies of the transfer matrix", "Hz", (5.0, 3000.0))
+    lines: int = integer("frequency lines in the band", 1200)
 
     def __post_init__(self) -> None:
         if self.lines < 2:
@@ -256,7 +254,7 @@ class RollingSettings(Settings, ABC):
     """Settings common to ball and roller bearings."""
 
     kind: str = choice("which kind of bearing", (BALL, ROLLER))
-    elements: int = setting("integer", "number of rolling elements")
+    elements: int = integer("number of rolling elements")
     name: str = text("name of the bearing")
     contact_angle: float = quantity("unloaded contact angle", "rad", 0.0)
     clearance: float = quantity(

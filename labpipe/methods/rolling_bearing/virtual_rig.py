@@ -39,7 +39,7 @@ class TestedBearing(Settings):
 
     name: str = setting("text", "short name, with which the names of the runs begin")
     bearing: BallBearingSettings = section("the bearing, with the shaft on it", BallBearingSettings)
-    preloads: tuple[float, ...] = setting("values", "axial preloads", unit="N")
+    preloads: tuple[float, ...] = setting("values", "axial preloads", "N")
     bending_stiffness: float = quantity(
         "radial stiffness of the bending shaft; default: rigid", "N/m", np.inf
     )
@@ -65,7 +65,7 @@ class Sampling(Settings):
 
     rate: float = quantity("sampling rate", "Hz", 3200.0)
     spacing: float = quantity("spacing of the multisine's lines", "Hz", 2.0)
-    band: tuple[float, float] = setting("band", "frequencies excited", unit="Hz", default=(20.0, 1500.0))
+    band: tuple[float, float] = setting("band", "frequencies excited", "Hz", (20.0, 1500.0))
     periods: int = setting("integer", "periods recorded", default=3)
     force: float = quantity("rms force of a shaker", "N", 10.0)
 

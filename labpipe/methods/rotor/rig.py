@@ -10,9 +10,14 @@ from itertools import zip_longest
 
 import numpy as np
 
-from labpipe.bearings.kinds import Bearing, LinearBearingSettings, OperatingPoint
+from labpipe.bearings.kinds import Bearing, BearingCoefficients, LinearBearingSettings, OperatingPoint
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import DEFAULT_MESH, JournalBearing, journal_equilibrium
+from labpipe.methods.journal_bearing.bearing import (
+    DEFAULT_MESH,
+    JournalBearing,
+    JournalEquilibrium,
+    journal_equilibrium,
+)
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.shaft import NodeSupport, Rotor, bearing_loads
 from labpipe.records.uncertain import Uncertainty
@@ -66,6 +71,18 @@ class BearingPlace:
         ends = [replace(e, above=change(e.above), below=change(e.below)) for e in self.uncertainties]
         uncertain = tuple(entry for entry in ends if entry.above != entry.below)
         return replace(self, bearing=change(self.bearing), uncertainties=uncertain)
+
+    def support(self, load: tuple[float, float], speed: float, mesh: FilmMesh = DEFAULT_MESH) -> NodeSupport:
+        """The bearing as springs and dampers under a *load* in y and z [N], its motion at the frequency of
+        the *speed* [rad/s]; *mesh*: of an oil film.
+        """
+        if isinstance(self.bearing, JournalBearing):
+            return self.springs(journal_equilibrium(self.bearing, load, speed, mesh))
+        return self.springs(self.bearing.at(OperatingPoint(load, speed, speed)))
+
+    def springs(self, at: JournalEquilibrium | BearingCoefficients) -> NodeSupport:
+        """Coefficients of the bearing as springs and dampers on its node."""
+        return NodeSupport(self.node, at.stiffness, at.damping)
 
     def film(self, method: str) -> JournalBearing:
         """The journal bearing. ConfigError that names the *method* which needs its oil film, where there is
@@ -164,17 +181,8 @@ class RotorRig:
         """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of
         oil films.
         """
-        loads, supports = self.static_loads(), []
-        for place in self.bearings:
-            load, bearing = loads[place.name], place.bearing
-            if isinstance(bearing, JournalBearing):
-                film = journal_equilibrium(bearing, load, self.omega, mesh)
-                coefficients = film.stiffness, film.damping
-            else:
-                at = bearing.at(OperatingPoint(load, self.omega, self.omega))
-                coefficients = at.stiffness, at.damping
-            supports.append(NodeSupport(place.node, *coefficients))
-        return supports
+        loads = self.static_loads()
+        return [place.support(loads[place.name], self.omega, mesh) for place in self.bearings]
 
     def at_speed(self, speed: float) -> RotorRig:
         """The same rig at another speed [Hz]."""

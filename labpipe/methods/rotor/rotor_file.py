@@ -15,7 +15,7 @@ from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor,
 from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
-from labpipe.records.settings import FileKind, Setting, Settings, quantity, setting, text
+from labpipe.records.settings import FileKind, Setting, Settings, integer, quantity, text
 from labpipe.records.uncertain import uncertainty_of
 from labpipe.registry import nearest
 
@@ -29,12 +29,12 @@ class RotorSettings(Settings):
     speed: float = quantity("speed of the shaft, in Hz or rpm", "Hz")
     name: str = text("name of the rotor, as the report shows it")
     description: str = text("what a reader should know of the rotor")
-    force: int = setting("integer", "node on which the rig is excited", default=1)
-    response: int = setting("integer", "node at which displacements are measured", default=1)
+    force: int = integer("node on which the rig is excited", 1)
+    response: int = integer("node at which displacements are measured", 1)
 
 
 def _material() -> Any:
-    return setting("text", "steel, aluminium or one of materials", default="steel")
+    return text("steel, aluminium or one of materials", "steel")
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class ElementSettings(Settings):
     diameter: float = quantity("outer diameter", "m")
     inner_diameter: float = quantity("bore", "m", 0.0)
     material: str = _material()
-    count: int = setting("integer", "equal elements in a row", default=1)
+    count: int = integer("equal elements in a row", 1)
 
     def __post_init__(self) -> None:
         if not 1 <= self.count <= MOST_COPIES:
@@ -66,7 +66,7 @@ class ElementSettings(Settings):
 class DiscSettings(Settings):
     """One entry of ``discs:``, by its dimensions and material or by its mass and moments of inertia."""
 
-    node: int = setting("integer", "node it sits on")
+    node: int = integer("node it sits on")
     outer_diameter: float | None = quantity("outer diameter", "m", None)
     inner_diameter: float = quantity("bore", "m", 0.0)
     length: float | None = quantity("length along the shaft", "m", None)
@@ -109,7 +109,7 @@ class SleeveSettings(Settings):
     it is said.
     """
 
-    element: int = setting("integer", "number of the element it surrounds, from 1")
+    element: int = integer("number of the element it surrounds, from 1")
     outer_diameter: float = quantity("outer diameter", "m")
     material: str = _material()
     stiffening: float = quantity("factor on the stiffness of the element", "1", 1.0)
@@ -128,7 +128,7 @@ class DampingSettings(Settings):
 class LoadSettings(Settings):
     """One entry of ``loads:``: a constant force beside the weight."""
 
-    node: int = setting("integer", "node it acts on")
+    node: int = integer("node it acts on")
     y: float = quantity("horizontal force", "N", 0.0)
     z: float = quantity("vertical force, positive up", "N", 0.0)
 
@@ -137,7 +137,7 @@ class LoadSettings(Settings):
 class UnbalanceEntry(Settings):
     """One entry of ``unbalances:``."""
 
-    node: int = setting("integer", "node it sits on")
+    node: int = integer("node it sits on")
     size: float = quantity("mass times eccentricity", "kg.m")
     phase: float = quantity("phase from the keyphasor, with the spin", "rad", 0.0)
 

@@ -96,7 +96,7 @@ class UnbalanceSettings(Settings):
     rotor: str = setting(
         "file", "rotor file with its unbalances, relative to the pipeline file", file_kind="rotor", into="rig"
     )
-    speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz")
+    speeds: tuple[float, float] = setting("band", "range of speeds", "Hz")
     cases: tuple[tuple[str, Wear], ...] = setting(
         "sections",
         "states of wear by name, for example {healthy: {depth: 0 um}}",

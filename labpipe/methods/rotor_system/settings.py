@@ -11,7 +11,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import ESTIMATED
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import Settings, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -40,10 +40,8 @@ class SystemTest(Settings):
     """One entry of ``tests:``."""
 
     name: str = setting("text", "name of the test")
-    kind: str = setting(
-        "choice",
-        "what was measured: modes of the free rotor, an FRF, a run-up, deflections",
-        choices=tuple(KEYS),
+    kind: str = choice(
+        "what was measured: modes of the free rotor, an FRF, a run-up, deflections", tuple(KEYS)
     )
     fit: str = text(
         "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
@@ -54,7 +52,7 @@ class SystemTest(Settings):
     )
     damping: tuple[str, ...] = setting("names", "modes: their damping ratios: [1.5 % +- 5 %]", default=())
     numbers: tuple[float, ...] = setting(
-        "values", "modes: which bending modes these are; default: 1, 2, 3 ...", unit="1", default=()
+        "values", "modes: which bending modes these are; default: 1, 2, 3 ...", "1", ()
     )
     test: str = text("response: the test of this pipeline with the FRF")
     places: tuple[tuple[str, str], ...] = setting(
@@ -63,19 +61,14 @@ class SystemTest(Settings):
         default=(),
     )
     speed: float = quantity("response: speed of the rotor meanwhile", "Hz", 0.0)
-    free: bool = setting(
-        "flag", "response: of the rotor on soft strings, without its bearings", default=False
-    )
-    band: tuple[float, float] | None = setting(
-        "band", "response: lines that count; default: all", unit="Hz", default=None
-    )
+    free: bool = flag("response: of the rotor on soft strings, without its bearings")
+    band: tuple[float, float] | None = setting("band", "response: lines that count; default: all", "Hz", None)
     run: RunSettings | None = section("run-up: its table or recording, as in run_ups", RunSettings, None)
-    axes: str = setting(
-        "choice",
+    axes: str = choice(
         "run-up: x of the run is along the load and y a quarter turn further with the spin, or x is y of the "
         "rotor file and y is its z",
-        choices=AXES,
-        default=AXES[0],
+        AXES,
+        AXES[0],
     )
     slow_roll: float = quantity(
         "run-up: standard deviation of the slow roll left in a component, alike at all speeds", "m", 0.0
@@ -84,7 +77,7 @@ class SystemTest(Settings):
     deflections: tuple[tuple[str, str], ...] = setting(
         "texts", "static: at a place per force at another: {5 z / 10 z: 0.34 um/N +- 1.5 %}", default=()
     )
-    mass: Uncertain | None = setting("uncertain", "static: the rotor weighed", unit="kg", default=None)
+    mass: Uncertain | None = setting("uncertain", "static: the rotor weighed", "kg", None)
 
     def __post_init__(self) -> None:
         for name in self.written:
@@ -187,28 +180,21 @@ class RotorSystemSettings(Settings):
         "entries", "the tests of this rotor", section=SystemTest, default=(), needed=True
     )
     speeds: tuple[float, float] | None = setting(
-        "band",
-        "speeds of the predictions; default: 5 % to 150 % of the file's speed",
-        unit="Hz",
-        default=None,
+        "band", "speeds of the predictions; default: 5 % to 150 % of the file's speed", "Hz", None
     )
     small_errors: SmallErrors = section(
         "errors that are everywhere, with their declared sizes", SmallErrors, SmallErrors()
     )
     balance_speeds: tuple[float, ...] = setting(
-        "values",
-        "speeds at which weights in the planes of the unbalances are to calm the rotor",
-        unit="Hz",
-        default=(),
+        "values", "speeds at which weights in the planes of the unbalances are to calm the rotor", "Hz", ()
     )
-    standard: str = setting(
-        "choice",
+    standard: str = choice(
         "whose limits at the rotor file's speed are findings where they are not kept; default: of none",
-        choices=(API,),
-        default="",
+        (API,),
+        "",
     )
-    draws: int = setting("integer", "draws of the posterior for critical speeds and weights", default=200)
-    seed: int = setting("integer", "of these draws", default=1)
+    draws: int = integer("draws of the posterior for critical speeds and weights", 200)
+    seed: int = integer("of these draws", 1)
     system: RotorSystem | None = None
 
     def __post_init__(self) -> None:

@@ -54,7 +54,7 @@ class PedestalSettings(Settings):
 
     bearing: str = setting("text", "name of the bearing")
     mass: float = quantity("that moves with the bearing", "kg")
-    stiffness: Uncertain = setting("uncertain", "to ground, in y and z", unit="N/m")
+    stiffness: Uncertain = setting("uncertain", "to ground, in y and z", "N/m")
     damping: float = quantity("to ground", "N.s/m", 0.0)
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class InternalSettings(Settings):
     """Entry ``internal`` of ``damping:``."""
 
     internal: Uncertain = setting(
-        "uncertain", "damping that turns with the shaft, C = internal K: 30 us +- 70 %", unit="s"
+        "uncertain", "damping that turns with the shaft, C = internal K: 30 us +- 70 %", "s"
     )
 
     def __post_init__(self) -> None:

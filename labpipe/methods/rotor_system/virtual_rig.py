@@ -16,7 +16,7 @@ from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor_system.build import Built, RotorSystem, Sensors, SmallErrors, build
 from labpipe.methods.rotor_system.evidence import RunUpVectors, run_up_whitener
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import Settings, quantity, setting
+from labpipe.records.settings import Settings, choice, integer, quantity, setting, text
 from labpipe.simulate.virtual_rigs import LoggedTable, kind_of_recordings, whole_numbers
 
 KIND = "virtual-rotor-rig"
@@ -32,21 +32,19 @@ PULSE, RISE, HIGH = 0.2, 0.08, 5.0
 class RotorTestRig(Settings):
     """A rotor file's rotor, its tests and their noise; *system*: contents of `rotor`."""
 
-    kind: str = setting("choice", "which virtual rig", choices=(KIND,))
+    kind: str = choice("which virtual rig", (KIND,))
     rotor: str = setting("file", "rotor file with uncertainties", file_kind="rotor-system", into="system")
-    force: int = setting("integer", "node at which the rotor is shaken")
-    accelerations: tuple[float, ...] = setting("values", "nodes of the accelerometers, y and z", unit="1")
-    probes: tuple[float, ...] = setting("values", "nodes of the probes, y and z", unit="1")
-    speeds: tuple[float, float] = setting("band", "of the run-up", unit="Hz")
+    force: int = integer("node at which the rotor is shaken")
+    accelerations: tuple[float, ...] = setting("values", "nodes of the accelerometers, y and z", "1")
+    probes: tuple[float, ...] = setting("values", "nodes of the probes, y and z", "1")
+    speeds: tuple[float, float] = setting("band", "of the run-up", "Hz")
     _: KW_ONLY
-    name: str = setting("text", "name of the rig", default="Virtual rotor with all its tests")
-    truth: int = setting(
-        "integer", "seed of the truth, drawn from what is declared; 0: as declared in the middle", default=1
-    )
+    name: str = text("name of the rig", "Virtual rotor with all its tests")
+    truth: int = integer("seed of the truth, drawn from what is declared; 0: as declared in the middle", 1)
     amplitude: float = quantity("force on a line", "N", 1.0)
-    band: tuple[float, float] = setting("band", "lines of the forces", unit="Hz", default=(10.0, 300.0))
+    band: tuple[float, float] = setting("band", "lines of the forces", "Hz", (10.0, 300.0))
     spacing: float = quantity("distance of the lines, one over the period", "Hz", 1.0)
-    periods: int = setting("integer", "periods recorded", default=6)
+    periods: int = integer("periods recorded", 6)
     duration: float = quantity("of the run-up", "s", 40.0)
     acceleration_noise: float = quantity("standard deviation", "m/s^2", 0.3)
     force_noise: float = quantity("standard deviation", "N", 0.02)

@@ -92,8 +92,8 @@ class FilmFamily:
     def coefficients(self, values: FloatArray, load: FloatArray | float, speed: FloatArray) -> FloatArray:
         """(n_point, 8) [N/m, N s/m]; FitError outside the bearing's table. Equation (run-family)."""
         load, speed = np.broadcast_arrays(np.asarray(load, np.float64), np.asarray(speed, np.float64))
-        curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
-        return as_eight(curve_values.stiffness, curve_values.damping) * self._scale(values, load, speed)
+        eight, _ = self.curve.coefficients(self.sommerfeld(values, load, speed))
+        return eight * self._scale(values, load, speed)
 
     def coefficients_and_slopes(
         self, values: FloatArray, load: FloatArray, speed: FloatArray
@@ -101,8 +101,7 @@ class FilmFamily:
         """`coefficients` [N/m, N s/m] and their derivatives by PARAMETERS, (n_point, 8, 12)."""
         curve_values = self.curve.coefficients(self.sommerfeld(values, load, speed))
         scale = self._scale(values, load, speed)
-        eight = as_eight(curve_values.stiffness, curve_values.damping) * scale
-        by_place = as_eight(curve_values.stiffness_slope, curve_values.damping_slope) * scale
+        eight, by_place = (part * scale for part in curve_values)
         slopes = np.zeros((*eight.shape, len(PARAMETERS)))
         slopes[..., 0] = by_place
         slopes[..., 1] = by_place * np.log(speed / self.speed)[:, None]
@@ -307,9 +306,9 @@ class RunUpRotor:
             both = np.stack([[point.stiffness, point.damping] for point in points], axis=1)
             stiffness, damping = TO_LOAD_FRAME @ both @ TO_LOAD_FRAME.T
             return stiffness, damping
-        film = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
-        scale = load / bearing.clearance
-        return film.stiffness * scale, film.damping * scale / speed[..., None, None]
+        film, _ = curve_of(bearing).coefficients(sommerfeld_number(bearing, np.asarray(load), speed))
+        stiffness, damping = as_matrices(film * (load / bearing.clearance))
+        return stiffness, damping / speed[..., None, None]
 
     def start(self, load: float) -> CoefficientsAtSpeed:
         """`start_coefficients` as a function of speed."""

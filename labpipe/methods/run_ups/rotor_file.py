@@ -38,8 +38,8 @@ class PinnedSettings(Settings):
     speeds: tuple[float, float] | None = setting(
         "band",
         "range of the critical speeds, thresholds up to twice its end; default: that of the run-ups",
-        unit="Hz",
-        default=None,
+        "Hz",
+        None,
     )
     coefficients: str = text("FILE#NAME: a metamodel of an identification.json, instead of the film")
 

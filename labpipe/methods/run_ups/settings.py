@@ -14,7 +14,7 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, choice, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, text
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
@@ -84,14 +84,14 @@ class RunSettings(Settings):
     recording: str = _file("time recording of the run-up with a tacho, instead of a table", "path", "path")
     rig: str = _file("rig file of a raw recording; dofs name planes: disc1.x, disc1.y", "rig", "recorded_by")
     tacho: str = text("channel with the tacho's pulses")
-    pulses: int = setting("integer", "pulses of the tacho per revolution", default=1)
-    harmonics: int = setting("integer", "multiples of the speed fitted along", default=2)
-    revolutions: int = setting("integer", "revolutions of one stretch", default=20)
+    pulses: int = integer("pulses of the tacho per revolution", 1)
+    harmonics: int = integer("multiples of the speed fitted along", 2)
+    revolutions: int = integer("revolutions of one stretch", 20)
     name: str = text("name of the run; default: the file's")
     role: str = choice("fits see trained runs only", (TRAINED, HELD_OUT), TRAINED)
     load: float | None = quantity("static load; default: the table's", "N", None)
     threshold: Uncertain | None = setting(
-        "uncertain", "measured threshold of instability; default: the table's", unit="Hz", default=None
+        "uncertain", "measured threshold of instability; default: the table's", "Hz", None
     )
     subtract: str = _file(
         "run of the residual unbalance, subtracted phasor by phasor (a file of the same kind)",
@@ -99,19 +99,11 @@ class RunSettings(Settings):
         "subtracted",
     )
     printed_critical_speed: tuple[float, ...] = setting(
-        "values",
-        "printed elsewhere, shown for reference: measured, original, enhanced",
-        unit="Hz",
-        default=(),
+        "values", "printed elsewhere, shown for reference: measured, original, enhanced", "Hz", ()
     )
-    printed_threshold: tuple[float, ...] = setting(
-        "values", "the same of the threshold", unit="Hz", default=()
-    )
+    printed_threshold: tuple[float, ...] = setting("values", "the same of the threshold", "Hz", ())
     unbalance: tuple[tuple[str, complex], ...] = setting(
-        "phasors",
-        "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}",
-        unit="kg.m",
-        default=(),
+        "phasors", "known unbalance by plane, instead of the table's: {disc 1: 50 g.mm at 0 deg}", "kg.m", ()
     )
     path: Path = Path()
     subtracted: Path | None = None
@@ -207,10 +199,8 @@ class RunUpSettings(Settings):
         "names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=()
     )
     search: str = choice("how amplitudes are fitted", SEARCHES, "pattern")
-    starts: int = setting(
-        "integer", "starts of that search at one load and speed, to show their spread", default=20
-    )
-    seed: int = setting("integer", "of random starts and networks", default=1)
+    starts: int = integer("starts of that search at one load and speed, to show their spread", 20)
+    seed: int = integer("of random starts and networks", 1)
     source: str = text("where the printed values are from")
     probes: ProbeSettings = section(
         "uncertainties of the probes of tables; a recording has those of its rig file",

@@ -19,7 +19,7 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, choice, quantity, section, setting, settings_of, text
+from labpipe.records.settings import Settings, choice, flag, quantity, section, setting, settings_of, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -69,18 +69,14 @@ class VirtualUnbalanceRig(Settings):
     loads: tuple[float, ...] = setting(
         "values",
         "static loads of the run-ups",
-        unit="N",
-        default=tuple(POUND * pounds for pounds in (0.823, 1.321, 1.817, 2.316)),
+        "N",
+        tuple(POUND * pounds for pounds in (0.823, 1.321, 1.817, 2.316)),
     )
     held_out: float = quantity("load of the run-up that no fit sees", "N", 3.808 * POUND)
-    speeds: tuple[float, float] = setting("band", "range of speeds", unit="Hz", default=(400 / 60, 3000 / 60))
+    speeds: tuple[float, float] = setting("band", "range of speeds", "Hz", (400 / 60, 3000 / 60))
     count: int = setting("integer", "number of speeds", default=27)
-    second_unbalance: bool = setting(
-        "flag", "also a run-up of every load with the unbalance at the last plane alone", default=False
-    )
-    shaker: bool = setting(
-        "flag", "also a run-up of every load under a force that does not turn", default=False
-    )
+    second_unbalance: bool = flag("also a run-up of every load with the unbalance at the last plane alone")
+    shaker: bool = flag("also a run-up of every load under a force that does not turn")
     shaker_force: float = quantity("amplitude of that force, along x at the first plane", "N", 2.0)
     shaker_ratio: float = quantity("its frequency over the shaft's", "1", 0.95)
     noise: RunUpNoise = section("measuring noise", RunUpNoise, RunUpNoise())

@@ -16,7 +16,7 @@ from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, choice, quantity, setting, text
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -34,7 +34,7 @@ UNITS = {DEPTH: "m", ANGLE: "rad", **NUISANCES}
 
 def nuisance(words: str, unit: str) -> Any:
     """A number [*unit*] that may be estimated together with the wear."""
-    return setting("uncertain", words, unit=unit, default=None)
+    return setting("uncertain", words, unit, None)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class WearSettings(Settings):
     rotor: str = setting("file", "rotor file, relative to this file", file_kind="rotor", into="rig")
     _: KW_ONLY
     bearing: str = text("name of the worn bearing; default: the last one")
-    healthy: bool = setting("flag", "no wear: tune viscosity, clearance, ... to a healthy rig", default=False)
+    healthy: bool = flag("no wear: tune viscosity, clearance, ... to a healthy rig")
     response: str = choice("in y and z (FRF), or forward and backward (dFRF)", RESPONSES, "FRF")
     terms: str = choice("all terms of the response, direct or cross terms only", TERMS, "full")
     objective: str = choice(
@@ -75,21 +75,21 @@ class WearSettings(Settings):
         "complex",
     )
     lines: tuple[float, ...] = setting(
-        "values", "these frequency lines only; default: all of the band", unit="Hz", default=()
+        "values", "these frequency lines only; default: all of the band", "Hz", ()
     )
     half_power: tuple[tuple[float, float], ...] = setting(
-        "bands", "lines between the half-power points of the peak in each band", unit="Hz", default=()
+        "bands", "lines between the half-power points of the peak in each band", "Hz", ()
     )
     depth_limit: float = quantity("largest depth of the search", "m", 50e-6)
     angle_limit: float = quantity("largest angle of the search, either way", "rad", np.pi / 9)
     start_depths: tuple[float, ...] = setting(
-        "values", "depths of the mesh of starts", unit="m", default=(0.0, 15e-6, 30e-6, 45e-6)
+        "values", "depths of the mesh of starts", "m", (0.0, 15e-6, 30e-6, 45e-6)
     )
     start_angles: tuple[float, ...] = setting(
         "values",
         "angles of the mesh of starts",
-        unit="rad",
-        default=tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist()),
+        "rad",
+        tuple(np.deg2rad([-15.0, -7.5, 0.0, 7.5, 15.0]).tolist()),
     )
     viscosity: Uncertain | None = nuisance("estimated along, e.g. 0.104 Pa.s +- 3 %", "Pa.s")
     clearance: Uncertain | None = nuisance("of all bearings, estimated along, e.g. 90 um +- 2 %", "m")
@@ -98,11 +98,9 @@ class WearSettings(Settings):
     )
     beta: Uncertain | None = nuisance("damping of the shaft, estimated along, e.g. 1.6e-4 s +- 20 %", "s")
     prior: str = text("an earlier fit of this pipeline (a tuning) whose posterior is the prior")
-    same_wear: bool = setting(
-        "flag", "the fit of `prior` was of this same wear: its depth and angle are known too", default=False
-    )
-    cells_around: int = setting("integer", "cells of the oil film around the journal", default=120)
-    cells_across: int = setting("integer", "cells of the oil film across the bearing", default=30)
+    same_wear: bool = flag("the fit of `prior` was of this same wear: its depth and angle are known too")
+    cells_around: int = integer("cells of the oil film around the journal", 120)
+    cells_across: int = integer("cells of the oil film across the bearing", 30)
     rig: RotorRig | None = None
     posterior: Gaussian | None = None
 

@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.arrays import ComplexArray, FloatArray
-from labpipe.bearings.kinds import OperatingPoint
 from labpipe.errors import ConfigError
 from labpipe.methods.journal_bearing.bearing import JournalBearing, JournalEquilibrium, journal_equilibrium
 from labpipe.methods.journal_bearing.curve import PARAMETERS, JournalTable, TableRange, journal_table
@@ -102,12 +101,6 @@ def table_range(depth: float, angle: float, *factors: float, cavitation_pressure
     )
 
 
-def _read_table(table: JournalTable, bearing: JournalBearing, speed: float) -> tuple[FloatArray, FloatArray]:
-    film = table.coefficients(bearing, speed)
-    slopes = np.stack([film.stiffness_slopes, film.damping_slopes])
-    return np.stack([film.stiffness, film.damping]), slopes
-
-
 def _point(bearing: JournalBearing) -> FloatArray:
     return np.array([getattr(bearing, name) for name in PARAMETERS])
 
@@ -183,7 +176,7 @@ class TabledBearing:
             assert self.fixed is not None
             return VaryingSupport(self.fixed, *np.zeros((2, len(names), 2, 2)))
         bearing = self._bearing(values)
-        matrices, by_parameter = _read_table(self.table, bearing, self.speed)
+        matrices, by_parameter = self.table.coefficients(bearing, self.speed)
         if self.correction is not None:
             matrices = matrices + self.correction.at(_point(bearing))
             by_parameter += self.correction.slopes
@@ -201,8 +194,8 @@ class TabledBearing:
         bearing = self._bearing(values)
         film = self._film(bearing, mesh)
         if self.table is None:
-            return replace(self, fixed=NodeSupport(self.place.node, film.stiffness, film.damping), film=film)
-        matrices, by_parameter = _read_table(self.table, bearing, self.speed)
+            return replace(self, fixed=self.place.springs(film), film=film)
+        matrices, by_parameter = self.table.coefficients(bearing, self.speed)
         slopes = np.zeros_like(by_parameter) if self.correction is None else self.correction.slopes
         if with_slopes:
             slopes = np.zeros_like(by_parameter)
@@ -254,14 +247,7 @@ def tabulate(
     """A bearing of the rig with its table. ConfigError where one with fixed wear would follow parameters."""
     wide = ranges.sommerfeld_factor > 1 or ranges.cavitation_pressure < 0
     if not worn and not (place.is_film and wide):
-        at = (
-            journal_equilibrium(place.film("wear"), load, speed, mesh)
-            if place.is_film
-            else place.bearing.at(OperatingPoint(load, speed, speed))
-        )
-        return TabledBearing(
-            place, load, speed, worn, None, NodeSupport(place.node, at.stiffness, at.damping)
-        )
+        return TabledBearing(place, load, speed, worn, None, place.support(load, speed, mesh))
     bearing = place.film("wear")
     if bearing.wear_depth > 0 and not worn:
         what = "has a fixed wear, which cannot be combined with estimated viscosity, clearance or cavitation"

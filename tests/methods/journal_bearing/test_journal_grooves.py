@@ -18,4 +18,4 @@ def test_without_grooves_single_coefficients_differ_by_half() -> None:
     """A whole film is another bearing: at S = 6.43 it lacks most of the direct stiffness."""
     plain = journal_curve(0.5, 0.0, FilmMesh(72, 12), 60).coefficients(LUND_THOMSEN[:1, 0])
     printed = LUND_THOMSEN[0, 3:7]
-    assert np.max(np.abs(plain.stiffness.ravel() / printed - 1)) > 0.5
+    assert np.max(np.abs(plain[0][0, :4] / printed - 1)) > 0.5

@@ -28,8 +28,8 @@ def film(load: float = LOAD) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndar
     """K and C over speed under a load."""
 
     def coefficients(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = journal_curve(0.5, np.deg2rad(20)).coefficients(sommerfeld_number(BEARING, load, speed))
-        scale = load / BEARING.clearance
-        return found.stiffness * scale, found.damping * scale / np.asarray(speed)[..., None, None]
+        found, _ = journal_curve(0.5, np.deg2rad(20)).coefficients(sommerfeld_number(BEARING, load, speed))
+        both = (found * load / BEARING.clearance).reshape(*np.shape(speed), 2, 2, 2)
+        return both[..., 0, :, :], both[..., 1, :, :] / np.asarray(speed)[..., None, None]
 
     return coefficients

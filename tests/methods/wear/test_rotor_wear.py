@@ -54,12 +54,9 @@ def rig() -> WornRig:
     table = journal_table(BEARING, loads[1], SPEED, mesh=MESH)
 
     def worn_bearing(depth: float, angle: float) -> VaryingSupport:
-        found = table.coefficients(dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle), SPEED)
-        return VaryingSupport(
-            NodeSupport(14, found.stiffness, found.damping),
-            found.stiffness_slopes[:2],
-            found.damping_slopes[:2],
-        )
+        bearing = dataclasses.replace(BEARING, wear_depth=depth, wear_angle=angle)
+        matrices, slopes = table.coefficients(bearing, SPEED)
+        return VaryingSupport(NodeSupport(14, *matrices), *slopes[:, :2])
 
     standing = reduced_rotor(rotor, (4, 10, 14), LINES, SPEED).on(
         [NodeSupport(4, first.stiffness, first.damping)]
