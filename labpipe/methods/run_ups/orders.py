@@ -40,8 +40,6 @@ MOST_COLUMNS = 4
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
 # Share of the gap beyond which an orbit is reported, unless stated.
 LIMIT = 0.2
-# Share of the speeds at which unbalance hardly makes a plane whirl against the shaft.
-MOSTLY = 0.7
 # Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
@@ -320,11 +318,6 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             if track is run.track:
                 line += f"; whole motion {factor * np.max(track.overall[:, number]):.4g}"
             yield line
-    for circles in run.circles:
-        backward, (plane,) = np.mean(np.diff(np.abs(circles.amplitude)) > 0), circles.planes
-        if run.track.order == 1 and backward > MOSTLY:
-            what = f"whirls backward at {100 * backward:.0f} % of the speeds: if the shaft turns from y to x"
-            yield f"{plane.name:<8} {what}, exchange the two dofs in the rig file"
     if run.clearance is None:
         return
     gap, share = run.clearance.gap, run.clearance.limit
