@@ -161,6 +161,7 @@ def drawings_file(graphics: Sequence[Graphic]) -> bytes:
 
 
 def pdf_report(identification: Identification) -> bytes:
+    """The report of an identification as the bytes of a PDF file."""
     return render_pdf(build(identification))
 
 
