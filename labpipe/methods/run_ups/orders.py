@@ -410,20 +410,13 @@ def track_and_write(
                 raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
         verdict = None
         if is_judged:
-            verdict = judge(
-                run.track,
-                slow_roll=slow,
-                speed_range=operating,
-                unbalance=added,
-                baseline=None if before is None else before.track,
-            )
+            of = None if before is None else before.track
+            verdict = judge(run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=of)
         # That of a baseline is the same and cancels.
         whole, run = run, run.without_slow_roll(verdict)
-        saved_run = run if before is None else whole
-        table = None if conditions is None else run_up_table(saved_run, *conditions, before)
-        names = write_tracked(run, verdict, folder)
-        saved = ""
-        if save_run_up is not None and table is not None:
+        names, saved = write_tracked(run, verdict, folder), ""
+        if save_run_up is not None and conditions is not None:
+            table = run_up_table(whole if before else run, *conditions, before)
             saved = f"; {write_run_up(table, save_run_up)}"
     code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
