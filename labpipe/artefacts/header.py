@@ -88,7 +88,6 @@ def checkout_commit(git: Path) -> str:
 
 
 def _installed_commit() -> str:
-    """The commit that pip notes for what it installed from a repository (PEP 610)."""
     try:
         noted = distribution("labpipe").read_text("direct_url.json")
         return str(json.loads(noted or "{}").get("vcs_info", {}).get("commit_id", ""))

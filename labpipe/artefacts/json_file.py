@@ -211,7 +211,6 @@ def read_digested(path: Path, what: str) -> dict[str, Any]:
 
 
 def _digests(content: bytes, entries: dict[str, Any]) -> Iterator[str]:
-    """The digest of the content, then that of the entries written again."""
     yield hashlib.sha256(_DIGEST_LINE.sub(b"", content, count=1)).hexdigest()
     others = {key: entry for key, entry in entries.items() if key != DIGEST}
     yield hashlib.sha256(json_bytes(others)).hexdigest()

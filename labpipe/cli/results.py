@@ -258,7 +258,6 @@ def compare(
 
 
 def _parameters(path: Path) -> tuple[list[ListedParameter], frozenset[str]]:
-    """The parameters of a result, and the digests of the files behind it."""
     with read_results(path) as here:
         file = here / NAME if here.is_dir() else here
         identification = read_identification(file)

@@ -161,6 +161,7 @@ def drawings_file(graphics: Sequence[Graphic]) -> bytes:
 
 
 def pdf_report(identification: Identification) -> bytes:
+    """The report of an identification as the bytes of a PDF file."""
     return render_pdf(build(identification))
 
 
@@ -261,7 +262,6 @@ def _lay(writer: PdfWriter, page: PageObject, drawing: PageObject, place: _Drawi
 
 
 def _add_stream(writer: PdfWriter, stream: StreamObject) -> IndirectObject:
-    """The reference of a stream that becomes one of the file."""
     # Only what may have a reference is given one.
     stream.indirect_reference = None
     reference = stream.clone(writer).indirect_reference

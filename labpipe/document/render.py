@@ -37,6 +37,7 @@ def html_report(identification: Identification) -> bytes:
 
 
 def markdown_report(identification: Identification) -> bytes:
+    """The same report as Markdown."""
     return markdown_document(build(identification))
 
 

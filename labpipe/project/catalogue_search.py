@@ -136,7 +136,6 @@ def _collect(
 
 
 def _index_table(index: Index) -> pa.Table:
-    """The rows of single results, with the *path* of each, and by what it is *dated*."""
     rows = [(entry, row) for entry in index.values() for row in entry["rows"]]
     table = dataset_file.table_of([DatasetRow(**row) for _, row in rows])
     for name in ("path", "dated", "date"):

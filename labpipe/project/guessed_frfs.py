@@ -176,7 +176,6 @@ def _first(vectors: Vectors, parts: Mapping[str, str]) -> ComplexArray | FloatAr
 
 
 def _elements_by_labels(source: frf_described.DescribedColumns, elements: Elements) -> tuple[Elements, str]:
-    """The elements by the labels of their responses, and that of their one reference, if there are any."""
     labels: dict[str, str] = {}
     references: set[str] = set()
     for part in source.signals:

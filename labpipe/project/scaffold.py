@@ -556,7 +556,6 @@ def _flow(columns: Mapping[str, str]) -> str:
 
 
 def _unit_lines(guessed: GuessedFrf) -> list[str]:
-    """The form and the unit of FRFs: as the file says them, else to be decided."""
     if guessed.unit:
         return [f"  unit: {quote(guessed.unit)}"]
     if guessed.label:
@@ -569,7 +568,6 @@ def _unit_lines(guessed: GuessedFrf) -> list[str]:
 
 
 def _labels(elements: Mapping[str, object]) -> list[str]:
-    """A dof for each element: what its name has beside that of the others."""
     names = list(elements)
     differing = (n for n, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1)
     start = next(differing, min(map(len, names)))

@@ -219,7 +219,6 @@ def read_settings(owner: type[Owner], node: Marked, key: str, faults: Faults, **
 
 
 def _rename_keys(node: Marked, key: str, settings: Mapping[str, tuple[Setting, bool]]) -> Marked:
-    """The mapping with the keys of this version, and a note for each of the version before."""
     if not isinstance(node.content, dict):
         return node
     new = {setting.before: name for name, (setting, _) in settings.items() if name not in node.content}

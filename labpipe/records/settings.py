@@ -460,7 +460,6 @@ class Settings:
                 raise SettingError(name, f"{name} must {what}")
 
     def _numbers(self, name: str) -> tuple[float, ...]:
-        """The numbers of an entry, none where it is not given."""
         value = getattr(self, name)
         value = value.value if isinstance(value, Uncertain) else value
         return value if isinstance(value, tuple) else () if value is None else (value,)

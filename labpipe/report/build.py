@@ -260,7 +260,6 @@ def _provenance(identification: Identification) -> tuple[Block, ...]:
 
 
 def _stated_settings(settings: Any, key: str = "") -> tuple[tuple[str, str], ...]:
-    """Each setting that is not as by default, with the path of its keys."""
     if isinstance(settings, Mapping):
         kept = {name: entry for name, entry in settings.items() if entry not in DEFAULTS.get(str(name), ())}
         paths = [(f"{key}.{name}" if key else str(name), entry) for name, entry in kept.items()]

@@ -100,7 +100,6 @@ def _groups(x: FloatArray) -> list[FloatArray]:
 def _furthest(
     x: FloatArray, values: FloatArray, groups: list[FloatArray], low: FloatArray, high: FloatArray
 ) -> Points:
-    """The points furthest beyond the outer band, in widths of the band of their group."""
     number = np.repeat(np.arange(len(groups)), [group.size for group in groups])
     width = np.maximum(high - low, np.finfo(float).tiny)[number]
     distance = np.maximum(low[number] - values, values - high[number]) / width

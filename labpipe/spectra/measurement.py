@@ -288,7 +288,6 @@ def _layout_of(sources: Sequence[SampleSource], settings: FrfSettings) -> tuple[
 
 
 def _channel_names(layout: Layout) -> tuple[str, ...]:
-    """A name of its own for every input and every output: the label, where no input has that of an output."""
     inputs, outputs = ([port.label for port in ports] for ports in (layout.inputs, layout.outputs))
     if set(inputs) & set(outputs):
         inputs, outputs = [f"{label} (input)" for label in inputs], [f"{label} (output)" for label in outputs]

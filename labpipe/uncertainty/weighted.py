@@ -390,8 +390,10 @@ def told_apart(conditions: FloatArray) -> bool:
     moved with the others, their variance inflation above 5, and too few tests do not.
     """
     n_condition, n = conditions.shape
+    if n < n_condition + 1 + FEWEST_LEFT or not np.all(np.ptp(conditions, axis=1)):
+        return False
     correlation = np.atleast_2d(np.corrcoef(conditions))
-    if n < n_condition + 1 + FEWEST_LEFT or np.linalg.matrix_rank(correlation, tol=1e-9) < n_condition:
+    if np.linalg.matrix_rank(correlation, tol=1e-9) < n_condition:
         return False
     return bool(np.max(np.diag(np.linalg.inv(correlation))) <= MOST_INFLATED)
 

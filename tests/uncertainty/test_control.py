@@ -102,3 +102,4 @@ def test_conditions_are_told_apart_by_their_variance_inflation() -> None:
     for r, told in ((0.0, True), (0.89, True), (0.9, False), (1.0, False)):
         assert told_apart(np.array([x, r * x + np.sqrt(1 - r**2) * other])) == told
     assert not told_apart(np.array([[0.0, 1, 2, 3], [1.0, 0, 0, 1]]))
+    assert not told_apart(np.array([x, np.ones(8)])) and not told_apart(np.ones((1, 1)))

@@ -315,7 +315,6 @@ def layout_of(channels: Sequence[Channel], rate: float) -> Layout:
 
 
 def _setup(settings: FitSettings, layout: Layout) -> tuple[Setup, list[int], list[int]]:
-    """The ports of a fit, and which of the *layout* these responses and forces are."""
     rows = chosen_ports(layout.outputs, settings.output, "response")
     columns = chosen_ports(layout.inputs, settings.input, "force")
     outputs = tuple(layout.outputs[row] for row in rows)

@@ -40,8 +40,6 @@ MOST_COLUMNS = 4
 LEGEND_ROOM, LIMIT_ROOM = 1.3, 1.15
 # Share of the gap beyond which an orbit is reported, unless stated.
 LIMIT = 0.2
-# Share of the speeds at which unbalance hardly makes a plane whirl against the shaft.
-MOSTLY = 0.7
 # Relative change below which a speed counts as constant.
 STEADY = 1e-3
 
@@ -320,11 +318,6 @@ def order_lines(run: TrackedRun) -> Iterator[str]:
             if track is run.track:
                 line += f"; whole motion {factor * np.max(track.overall[:, number]):.4g}"
             yield line
-    for circles in run.circles:
-        backward, (plane,) = np.mean(np.diff(np.abs(circles.amplitude)) > 0), circles.planes
-        if run.track.order == 1 and backward > MOSTLY:
-            what = f"whirls backward at {100 * backward:.0f} % of the speeds: if the shaft turns from y to x"
-            yield f"{plane.name:<8} {what}, exchange the two dofs in the rig file"
     if run.clearance is None:
         return
     gap, share = run.clearance.gap, run.clearance.limit
@@ -417,20 +410,13 @@ def track_and_write(
                 raise ConfigError("--baseline: its responses are not those of the run", baseline, hint)
         verdict = None
         if is_judged:
-            verdict = judge(
-                run.track,
-                slow_roll=slow,
-                speed_range=operating,
-                unbalance=added,
-                baseline=None if before is None else before.track,
-            )
+            of = None if before is None else before.track
+            verdict = judge(run.track, slow_roll=slow, speed_range=operating, unbalance=added, baseline=of)
         # That of a baseline is the same and cancels.
         whole, run = run, run.without_slow_roll(verdict)
-        saved_run = run if before is None else whole
-        table = None if conditions is None else run_up_table(saved_run, *conditions, before)
-        names = write_tracked(run, verdict, folder)
-        saved = ""
-        if save_run_up is not None and table is not None:
+        names, saved = write_tracked(run, verdict, folder), ""
+        if save_run_up is not None and conditions is not None:
+            table = run_up_table(whole if before else run, *conditions, before)
             saved = f"; {write_run_up(table, save_run_up)}"
     code = 0 if verdict is None or verdict.accepted else 1
     if quiet:
