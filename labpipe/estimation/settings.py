@@ -13,17 +13,7 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import (
-    ESTIMATE,
-    Settings,
-    Uncertainties,
-    choice,
-    flag,
-    integer,
-    quantity,
-    section,
-    setting,
-)
+from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, choice, quantity, section, setting
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -159,16 +149,20 @@ class FitSettings(Settings):
     )
     sliding: Sliding | None = section("repeat the fit in sliding bands", Sliding, None)
     subtract: Support | None = section("support to subtract", Support, None)
-    share: int = integer("equal bearings in parallel that share the load", 1)
-    eliminate: bool = flag("drop insignificant parameters one by one")
-    symmetric: bool = flag("K, C and M are symmetric")
-    lumped_mass: bool = flag("with mass: estimate: the mass matrix is diagonal")
-    scale_mass: bool = flag("the given mass is known but for a factor, which is estimated")
-    residuals: bool = flag(
-        "with mass: estimate: a constant beside the mode for those outside the band; modal: one for those "
-        "below and one for those above it, no more"
+    share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
+    eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
+    symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)
+    lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
+    scale_mass: bool = setting(
+        "flag", "the given mass is known but for a factor, which is estimated", default=False
     )
-    relative: bool = flag("the response is measured relative to the base")
+    residuals: bool = setting(
+        "flag",
+        "with mass: estimate: a constant beside the mode for those outside the band; modal: one for those "
+        "below and one for those above it, no more",
+        default=False,
+    )
+    relative: bool = setting("flag", "the response is measured relative to the base", default=False)
     damping: str = choice(
         "viscous; proportional: C = alpha M + beta K; hysteretic: K (1 + j eta), eta the loss factor",
         (VISCOUS, *DAMPINGS),
@@ -183,12 +177,16 @@ class FitSettings(Settings):
     weight: str = choice(
         "all lines weigh alike, or by their noise (as they always do for ml)", WEIGHTS, "none"
     )
-    bootstrap: int = integer("repeats of the fit on resampled noise, for intervals beyond first order", 0)
-    coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
-    monte_carlo: int = integer(
-        "draws of noise and of all numbers with an uncertainty, as a check of the budget", 0
+    bootstrap: int = setting(
+        "integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0
     )
-    compare: bool = flag("compare the model with simpler and richer ones")
+    coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
+    monte_carlo: int = setting(
+        "integer",
+        "draws of noise and of all numbers with an uncertainty, as a check of the budget",
+        default=0,
+    )
+    compare: bool = setting("flag", "compare the model with simpler and richer ones", default=False)
     test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
     repeats: str = choice(
         "several recordings of one test: each fitted, and their mean; or pool, one fit of all",

@@ -16,6 +16,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
 from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
+from labpipe.simulate.linear import receptance
 
 KIND = "virtual-levitated-rig"
 PLACES = ("output", "input")
@@ -270,14 +271,9 @@ def rotor_receptance(rig: LevitatedRig, frequency: FloatArray) -> ComplexArray:
     reading per force k_i i. Equation (sim-rotor).
     """
     rotor = mechanics(rig)
-    jw = 2j * np.pi * np.asarray(frequency, float)[:, None, None]
-    dynamic = (
-        jw**2 * rotor.mass
-        + jw * rotor.damping
-        + rotor.stiffness
-        + rotor.at_bearings.T @ bearing_stiffness(rig) @ rotor.at_bearings
-    )
-    return np.asarray(rotor.at_sensors @ np.linalg.inv(dynamic) @ rotor.at_bearings.T)
+    stiffness = rotor.stiffness + rotor.at_bearings.T @ bearing_stiffness(rig) @ rotor.at_bearings
+    moved = receptance(rotor.mass, stiffness, rotor.damping, np.asarray(frequency, float))
+    return np.asarray(rotor.at_sensors @ moved @ rotor.at_bearings.T)
 
 
 @dataclass(frozen=True)

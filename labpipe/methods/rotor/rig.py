@@ -12,12 +12,7 @@ import numpy as np
 
 from labpipe.bearings.kinds import Bearing, BearingCoefficients, LinearBearingSettings, OperatingPoint
 from labpipe.errors import ConfigError
-from labpipe.methods.journal_bearing.bearing import (
-    DEFAULT_MESH,
-    JournalBearing,
-    JournalEquilibrium,
-    journal_equilibrium,
-)
+from labpipe.methods.journal_bearing import bearing as journal
 from labpipe.methods.journal_bearing.film import FilmMesh
 from labpipe.methods.rotor.shaft import NodeSupport, Rotor, bearing_loads
 from labpipe.records.uncertain import Uncertainty
@@ -52,7 +47,7 @@ class BearingPlace:
     @property
     def is_film(self) -> bool:
         """True for an oil film, whose parameters can be changed and estimated."""
-        return isinstance(self.bearing, JournalBearing)
+        return isinstance(self.bearing, journal.JournalBearing)
 
     @property
     def is_seal(self) -> bool:
@@ -65,30 +60,32 @@ class BearingPlace:
         uncertainty any more.
         """
 
-        def change(bearing: Bearing) -> JournalBearing:
+        def change(bearing: Bearing) -> journal.JournalBearing:
             return replace(replace(self, bearing=bearing).film(method), **changes)
 
         ends = [replace(e, above=change(e.above), below=change(e.below)) for e in self.uncertainties]
         uncertain = tuple(entry for entry in ends if entry.above != entry.below)
         return replace(self, bearing=change(self.bearing), uncertainties=uncertain)
 
-    def support(self, load: tuple[float, float], speed: float, mesh: FilmMesh = DEFAULT_MESH) -> NodeSupport:
+    def support(
+        self, load: tuple[float, float], speed: float, mesh: FilmMesh = journal.DEFAULT_MESH
+    ) -> NodeSupport:
         """The bearing as springs and dampers under a *load* in y and z [N], its motion at the frequency of
         the *speed* [rad/s]; *mesh*: of an oil film.
         """
-        if isinstance(self.bearing, JournalBearing):
-            return self.springs(journal_equilibrium(self.bearing, load, speed, mesh))
+        if isinstance(self.bearing, journal.JournalBearing):
+            return self.springs(journal.journal_equilibrium(self.bearing, load, speed, mesh))
         return self.springs(self.bearing.at(OperatingPoint(load, speed, speed)))
 
-    def springs(self, at: JournalEquilibrium | BearingCoefficients) -> NodeSupport:
+    def springs(self, at: journal.JournalEquilibrium | BearingCoefficients) -> NodeSupport:
         """Coefficients of the bearing as springs and dampers on its node."""
         return NodeSupport(self.node, at.stiffness, at.damping)
 
-    def film(self, method: str) -> JournalBearing:
+    def film(self, method: str) -> journal.JournalBearing:
         """The journal bearing. ConfigError that names the *method* which needs its oil film, where there is
         none.
         """
-        if isinstance(self.bearing, JournalBearing):
+        if isinstance(self.bearing, journal.JournalBearing):
             return self.bearing
         raise ConfigError(
             f"{method} needs an oil film, bearing '{self.name}' is a {self.kind}",
@@ -177,7 +174,7 @@ class RotorRig:
             for place, (y, z) in zip(carrying, reactions, strict=True)
         }
 
-    def supports(self, mesh: FilmMesh = DEFAULT_MESH) -> list[NodeSupport]:
+    def supports(self, mesh: FilmMesh = journal.DEFAULT_MESH) -> list[NodeSupport]:
         """The bearings as springs and dampers, their motion at the frequency of the rig's speed; *mesh*: of
         oil films.
         """
