@@ -174,11 +174,6 @@ class LeakageKernel:
         ]
 
 
-def has_kernel(blocks: Blocks) -> bool:
-    """Whether what leaks is known: in H1 of whole blocks, by their window or local polynomials."""
-    return blocks.estimator == "H1" and (not blocks.degree or blocks.half_width > 0)
-
-
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel:
     """The spectrum of the window of blocks, what they hold of bursts, or what local polynomials make of FRFs;
@@ -193,10 +188,8 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     amplitude = (np.exp(-2j * np.pi * np.outer(offsets, place) / (SHAPE_SAMPLES * POINTS)) @ window).real
     weights = amplitude**2
     if blocks.bursts:
-        of_force = (
-            window * np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
-        )
-        seen = np.correlate(window, of_force, "full")[window.size - 1 :]
+        force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
+        seen = np.correlate(window, window * force, "full")[window.size - 1 :]
         seen[1:] *= 2
         turns = np.outer(offsets, np.arange(window.size)) / (window.size * POINTS)
         weights = np.cos(2 * np.pi * turns) @ seen

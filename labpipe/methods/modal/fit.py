@@ -547,13 +547,12 @@ def _curve(form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved:
 
 
 def _polynomial_findings(measured: Measured, refined: Refined) -> list[Finding]:
-    """A warning where local polynomials do not follow the narrowest mode, beside which they put a second."""
+    """A warning where local polynomials do not follow the narrowest mode."""
     if measured.blocks is None or not measured.blocks.degree:
         return []
-    pole, more = refined.poles[np.argmax(refined.poles.real)], ". A second mode may seem to stand beside it"
+    pole = refined.poles[np.argmax(refined.poles.real)]
     frequency, width = (np.array([abs(pole), -2 * pole.real]) / (2 * np.pi)).tolist()
-    findings = diagnostics.short_block_findings(measured, frequency, width, True)
-    return [replace(finding, message=finding.message + more) for finding in findings]
+    return diagnostics.short_block_findings(measured, frequency, width, True)
 
 
 # Lines in the half-power width below which a window is as wide as the mode.
