@@ -307,11 +307,11 @@ class Leakage:
 def leakage_of(
     blocks: Blocks | None, frequency: FloatArray, correlation: FloatArray, derivatives: int
 ) -> Leakage | None:
-    """The leakage at *frequency* (n_line,) [Hz]; None where it is not known: beyond H1 of whole blocks."""
-    if blocks is None or blocks.estimator != "H1" or (blocks.degree and not blocks.half_width):
+    """The leakage at *frequency* (n_line,) [Hz]; None where it is not known."""
+    if blocks is None or (kernel := kernel_of(blocks)) is None:
         return None
     numbers = np.round(frequency * blocks.length).astype(np.intp)
-    return Leakage(kernel_of(blocks), numbers, correlation, derivatives + blocks.derivatives)
+    return Leakage(kernel, numbers, correlation, derivatives + blocks.derivatives)
 
 
 @dataclass(frozen=True)

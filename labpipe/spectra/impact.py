@@ -312,7 +312,6 @@ def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, 
 def _force_errors(
     averages: Sequence[_HitAverage], layout: Layout, settings: ImpactSettings
 ) -> Iterator[FloatArray]:
-    """Of every recording's mean force, see force_error."""
     for force in layout.acting:
         of_force = [a for a, other in zip(averages, layout.acting, strict=True) if other == force]
         n = sum(average.n_hit for average in of_force)

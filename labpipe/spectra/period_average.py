@@ -148,7 +148,6 @@ class Differences:
     """
 
     def __init__(self, n_line: int) -> None:
-        """*n_line* lines of a spectrum."""
         self.starts = np.unique(
             np.linspace(0, n_line, max(min(GROUPS, n_line // GROUP_LINES), 1), endpoint=False).astype(int)
         )

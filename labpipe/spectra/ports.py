@@ -389,10 +389,10 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
 
 def _joined_blocks(blocks: Sequence[Blocks | None]) -> Blocks | None:
     """Those of all, of bursts with their mean course; None where they differ."""
-    first, known = blocks[0], [of for of in blocks if of]
+    first = blocks[0]
     if first is None or len({of and replace(of, bursts=(0.0,) * len(of.bursts)) for of in blocks}) > 1:
         return None
-    return replace(first, bursts=tuple(np.mean([of.bursts for of in known], axis=0).tolist()))
+    return replace(first, bursts=tuple(np.mean([of.bursts for of in blocks if of], axis=0).tolist()))
 
 
 # Rows (n, 1) and columns of a response in the joined matrix.

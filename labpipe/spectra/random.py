@@ -254,8 +254,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     return replace(parts, blocks=with_bursts(blocks, sources), change=change)
 
 
-# Parts of a block, the share of the mean power below which one is at rest, and the blocks that show whether
-# forces are bursts.
+# Parts of a block, share of the mean power below which one rests, and blocks that are looked at first.
 PARTS, AT_REST, FIRST = 64, 0.01, 8
 
 
@@ -274,7 +273,7 @@ def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
 
 
 def _force_powers(source: SampleSource, length: float, most: int | None) -> FloatArray:
-    """Sums over the first *most* blocks of the mean squares (n_part,) of forces in their parts [N^2]."""
+    """Mean squares (n_part,) [N^2] of the forces, summed over the first *most* blocks."""
     n_sample, inputs = block_samples(source, length), [c.role == "input" for c in source.channels]
     power = np.zeros(min(PARTS, n_sample))
     for block in islice(source.blocks(n_sample), most):
@@ -481,7 +480,6 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
-    """Degrees of freedom (n_input,) of the noise in the recordings of every force."""
     return np.array([spectrum.averages for spectrum in spectra]) @ _acting(layout) - 1
 
 
