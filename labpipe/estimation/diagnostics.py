@@ -521,8 +521,7 @@ def _modes_beside(by_name: dict[str, Parameter], band: tuple[float, float]) -> l
 # Lines in the half-power width of a mode below which its damping is biased by more than its standard error,
 # and by which the leakage in the model (ml of an H1) decides on it.
 ENOUGH_LINES, FEWEST_LINES = 10.0, 1.5
-# Lines in the half-power width times degree of local polynomials below which their bias counts against the
-# standard error where no model has it: 16 lines for degree 2, 8 for degree 4.
+# Lines in the half-power width times degree of local polynomials below which a bias counts that no model has.
 LINES_BY_DEGREE = 30.0
 # Bias [%] of the damping by one line in the half-power width, its fall with their number (Hann: 4 % at 2,
 # 0.5 % at 8), and by how much too wide a mode of less than a line may look.
@@ -554,7 +553,6 @@ def short_block_findings(
     lines, modelled = blocks.length * width, models_leakage and measured.leakage is not None
     enough = FEWEST_LINES if modelled else ENOUGH_LINES
     if blocks.degree:
-        # A model that polynomials have smeared holds from 2 lines on.
         enough = 2 * FEWEST_LINES if modelled else LINES_BY_DEGREE / blocks.degree
     if lines >= enough or (blocks.bursts and (modelled or blocks.dies_away(lines))):
         return []

@@ -12,9 +12,10 @@ import scipy
 from scipy import fft
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from labpipe.records.response import Blocks
 from labpipe.spectra.matrices import hermitian, without_rounding
 from labpipe.spectra.period_average import neighbourhood_mean
-from labpipe.spectra.windows import POINTS, LeakageKernel
+from labpipe.spectra.windows import POINTS, LeakageKernel, kernel_of
 
 if TYPE_CHECKING:
     from labpipe.estimation.measured import Measured
@@ -301,6 +302,16 @@ class Leakage:
         return scipy.sparse.csr_array(
             (weights, place.ravel(), np.arange(0, n_line * n_point + 1, n_point)), shape=(n_line, omega.size)
         )
+
+
+def leakage_of(
+    blocks: Blocks | None, frequency: FloatArray, correlation: FloatArray, derivatives: int
+) -> Leakage | None:
+    """The leakage at *frequency* (n_line,) [Hz]; None where it is not known."""
+    if blocks is None or (kernel := kernel_of(blocks)) is None:
+        return None
+    numbers = np.round(frequency * blocks.length).astype(np.intp)
+    return Leakage(kernel, numbers, correlation, derivatives + blocks.derivatives)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from labpipe.errors import ConfigError, FitError
-from labpipe.estimation.leakage import Leakage, SharedNoise
+from labpipe.estimation.leakage import Leakage, SharedNoise, leakage_of
 from labpipe.records.response import (
     BlockCovariance,
     Blocks,
@@ -22,7 +22,6 @@ from labpipe.records.response import (
 from labpipe.records.uncertain import COURSES, MatrixError, Uncertainty
 from labpipe.registry import nearest
 from labpipe.spectra.convert import DERIVATIVES, TRANSMISSIBILITY, FormView
-from labpipe.spectra.windows import has_kernel, kernel_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +190,9 @@ def measured_part(
         shared_noise=max(_share(numbers, correlation.real if real else np.abs(correlation) ** 2), 1.0),
         shared_power=_share(numbers, np.abs(correlation) ** 2),
         blocks=blocks,
-        leakage=_leakage(response, blocks, frequency),
+        leakage=leakage_of(
+            blocks, frequency, np.array(response.line_correlation).real, _derivatives(response.form)
+        ),
         noise=None if gains is None else line_noise,
         line_noise=line_noise,
         derivatives=_derivatives(response.form),
@@ -222,15 +223,6 @@ def _chosen_covariance(
         return None
     whole = response.covariance[lines][:, index][:, :, index]
     return whole / (np.abs(factor) ** 2)[:, None, None]
-
-
-def _leakage(response: FrequencyResponse, blocks: Blocks | None, frequency: FloatArray) -> Leakage | None:
-    if blocks is None or not has_kernel(blocks):
-        return None
-    numbers = np.round(frequency * blocks.length).astype(np.intp)
-    correlation = np.array(response.line_correlation).real
-    derivatives = _derivatives(response.form) + blocks.derivatives
-    return Leakage(kernel_of(blocks), numbers, correlation, derivatives)
 
 
 def _derivatives(form: str) -> int:

@@ -294,7 +294,7 @@ def turning_tacho(first: FirstLook) -> str | None:
 
 
 # Share of its frequency to either side of a mode that a fit of its decay looks at, the periods of a decay
-# that give such a band the lines that a fit of several asks for, and the lines that one alone must have.
+# that give such a band the lines that a fit asks for, and the lines of a single decay.
 DECAY_WIDTH, LEAST_PERIODS, LINES_ALONE = 0.4, 16, 21
 
 

@@ -229,8 +229,7 @@ class Blocks:
     side; 0 for Welch's averages. derivatives: in time of what was averaged, beyond those of the response's
     form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass. by_force:
     number of the blocks of each force, where one alone acts in a recording; apart: its noise is that of these
-    alone. bursts: mean square of the force in equal parts of a block [1], of bursts that rest in it; none
-    where it acts all the time.
+    alone. bursts: mean square of a force that rests in each block, in equal parts of it [1].
     """
 
     length: float

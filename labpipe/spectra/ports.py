@@ -390,11 +390,9 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
 def _joined_blocks(blocks: Sequence[Blocks | None]) -> Blocks | None:
     """Those of all, of bursts with their mean course; None where they differ."""
     first = blocks[0]
-    bursts = [of.bursts for of in blocks if of is not None]
-    alike = first and all(of and replace(of, bursts=first.bursts) == first for of in blocks)
-    if not (first and alike and len({len(course) for course in bursts}) == 1):
+    if first is None or len({of and replace(of, bursts=(0.0,) * len(of.bursts)) for of in blocks}) > 1:
         return None
-    return replace(first, bursts=tuple(np.mean(bursts, axis=0).tolist())) if first.bursts else first
+    return replace(first, bursts=tuple(np.mean([of.bursts for of in blocks if of], axis=0).tolist()))
 
 
 # Rows (n, 1) and columns of a response in the joined matrix.

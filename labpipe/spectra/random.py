@@ -251,52 +251,36 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
         return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
 
     change = change_of_random(halved, layout, chosen, response_of, n_input + 1)
-    return replace(parts, blocks=leaking_blocks(blocks, sources), change=change)
+    return replace(parts, blocks=with_bursts(blocks, sources), change=change)
 
 
-# Parts of a block, the share of the mean power below which one is at rest, and the blocks that show whether
-# forces are bursts.
+# Parts of a block, share of the mean power below which one rests, and blocks that are looked at first.
 PARTS, AT_REST, FIRST = 64, 0.01, 8
 
 
-def leaking_blocks(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks | None:
-    """The *blocks*, with the course of forces that rest where these begin or end, as bursts do. None where,
-    without a window, every channel ends at rest: nothing leaks then from block to block, and no line into its
-    neighbours.
-    """
-    force, _ = _powers(blocks, sources, FIRST)
-    if min(force[0], force[-1]) >= AT_REST * np.mean(force):
-        return blocks
-    force, at_rest = _powers(blocks, sources)
-    # The mean that is taken off a block is no force.
-    force[force < AT_REST * np.mean(force)] = 0.0
-    if at_rest and blocks.window == "boxcar" and not blocks.overlap and blocks.estimator != "H1":
-        return None
-    # Blocks that overlap begin elsewhere in a burst.
+def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
+    """The *blocks*, with the course of forces that rest where these begin or end."""
+    for most in (FIRST, None):
+        force = np.sum([_force_powers(source, blocks.length, most) for source in sources], axis=0)
+        rests = force < AT_REST * np.mean(force)
+        if not (rests[0] or rests[-1]):
+            return blocks
+    # The mean that is taken off a block is no force. Blocks that overlap begin elsewhere in a burst.
+    force[rests] = 0.0
     starts = np.arange(0, force.size, force.size * (1 - blocks.overlap))
     course = np.mean([np.roll(force, -round(start)) for start in starts.tolist()], axis=0)
     return replace(blocks, bursts=tuple((course / np.mean(course)).tolist()))
 
 
-def _powers(
-    blocks: Blocks, sources: Sequence[SampleSource], most: int | None = None
-) -> tuple[FloatArray, bool]:
-    """Mean square (n_part,) of the forces in parts of a block [N^2], and whether every channel rests in the
-    last; of the first *most* blocks of each recording.
-    """
-    force, at_rest = np.zeros(1), True
-    for source in sources:
-        n_sample, power = block_samples(source, blocks.length), np.zeros(1)
-        for block in islice(source.blocks(n_sample), most):
-            if len(block) == n_sample:
-                square = (block - np.mean(block, axis=0)) ** 2
-                parts = np.array_split(square, min(PARTS, n_sample))
-                power = power + [np.mean(part, axis=0) for part in parts]
-        roles = np.array([channel.role for channel in source.channels])
-        force = force + np.sum(power[:, roles == "input"], axis=1)
-        rests = power[-1] < AT_REST * np.mean(power, axis=0)
-        at_rest &= bool(np.all(rests[roles != "reference"]))
-    return force, at_rest
+def _force_powers(source: SampleSource, length: float, most: int | None) -> FloatArray:
+    """Mean squares (n_part,) [N^2] of the forces, summed over the first *most* blocks."""
+    n_sample, inputs = block_samples(source, length), [c.role == "input" for c in source.channels]
+    power = np.zeros(min(PARTS, n_sample))
+    for block in islice(source.blocks(n_sample), most):
+        if len(block) == n_sample:
+            square = (block[:, inputs] - np.mean(block[:, inputs], axis=0)) ** 2
+            power += [np.sum(np.mean(part, axis=0)) for part in np.array_split(square, power.size)]
+    return power
 
 
 def parts_of_spectra(
@@ -496,7 +480,6 @@ def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
 
 
 def _freedoms(spectra: Sequence[CrossSpectra], layout: Layout) -> FloatArray:
-    """Degrees of freedom (n_input,) of the noise in the recordings of every force."""
     return np.array([spectrum.averages for spectrum in spectra]) @ _acting(layout) - 1
 
 

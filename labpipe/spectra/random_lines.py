@@ -21,7 +21,7 @@ from labpipe.spectra.covariance import noise_levels, residual_spectrum
 from labpipe.spectra.feedback import feedback_of_records
 from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import LOW_COHERENCE, POOR_SHARE, select_lines
-from labpipe.spectra.random import block_average, blocks_of, leaking_blocks
+from labpipe.spectra.random import block_average, blocks_of, with_bursts
 from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.welch import CrossSpectra
 
@@ -166,7 +166,7 @@ def random_lines(
         runs=drives,
         dof=dof,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
-        blocks=leaking_blocks(blocks_of(spectra, settings, "H1"), sources),
+        blocks=with_bursts(blocks_of(spectra, settings, "H1"), sources),
         findings=(*findings, *_unexplained_findings(s_zz, left, layout), *fed_back),
         weak=weak,
     )

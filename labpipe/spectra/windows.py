@@ -102,8 +102,7 @@ def line_correlation(window: FloatArray, step: int, n_block: int) -> tuple[float
     # Blocks before and after contribute equally.
     weight = (n_block - np.arange(len(products))) * np.where(np.arange(len(products)) == 0, 1, 2)
     shared = weight @ power
-    above = np.flatnonzero(shared[1:] > SHARED * shared[0])
-    return tuple(float(c) for c in shared[1 : above[-1] + 2] / shared[0]) if above.size else ()
+    return _while_shared(shared[1:] / shared[0])
 
 
 def amplitude_correlation(name: str) -> tuple[float, ...]:
@@ -114,8 +113,12 @@ def amplitude_correlation(name: str) -> tuple[float, ...]:
     """
     window = window_values(name, WINDOW_SAMPLES)
     power = np.fft.fft(window**2).real[: FURTHEST_LINE + 1] / np.dot(window, window)
-    above = np.flatnonzero(np.abs(power[1:]) > SHARED)
-    return tuple(float(value) for value in power[1 : above[-1] + 2]) if above.size else ()
+    return _while_shared(power[1:])
+
+
+def _while_shared(correlation: FloatArray) -> tuple[float, ...]:
+    above = np.flatnonzero(np.abs(correlation) > SHARED)
+    return tuple(correlation[: above[-1] + 1].tolist()) if above.size else ()
 
 
 def exponential_correlation(window: FloatArray, origin: float) -> ComplexArray:
@@ -149,8 +152,7 @@ OUTSIDE, MOST_LINES = 1e-6, 64
 @dataclass(frozen=True)
 class LeakageKernel:
     """Spectrum of the window of *blocks*, phase taken out: *amplitude* W (n_point,) [1] at *offsets*
-    (n_point,) [1 / POINTS line]. sum W^2 = 1. The mean of H over the points by *weights* (n_point,) [1] is
-    the expected H1: W^2, but for bursts.
+    (n_point,) [1 / POINTS line]. sum W^2 = 1. The mean of H by *weights* (n_point,) [1] is its expected H1.
     """
 
     blocks: Blocks
@@ -174,18 +176,22 @@ class LeakageKernel:
         ]
 
 
-def has_kernel(blocks: Blocks) -> bool:
-    """Whether what leaks is known: in H1 of whole blocks, by their window or local polynomials."""
-    return blocks.estimator == "H1" and (not blocks.degree or blocks.half_width > 0)
-
-
 @functools.cache
-def kernel_of(blocks: Blocks) -> LeakageKernel:
+def kernel_of(blocks: Blocks) -> LeakageKernel | None:
     """The spectrum of the window of blocks, what they hold of bursts, or what local polynomials make of FRFs;
-    ConfigError for an unknown one. Equations (frf-leakage-kernel), (frf-leakage-bursts), (frf-local-kernel).
+    None beyond H1, ConfigError for an unknown window. Equations (frf-leakage-kernel), (frf-leakage-bursts),
+    (frf-local-kernel).
     """
+    if blocks.estimator != "H1" or (blocks.degree and not blocks.half_width):
+        return None
     if blocks.degree:
-        return _polynomial_kernel(blocks)
+        # Least squares by a rough force, of which the polynomials of the leakage take a share of every line.
+        lines = np.arange(-blocks.half_width, blocks.half_width + 1)
+        powers = (lines / blocks.half_width)[:, None] ** np.arange(blocks.degree + 1)
+        smooth = np.linalg.qr(powers)[0]
+        left = 1 - np.sum(smooth**2, axis=1)
+        weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
+        return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
@@ -193,10 +199,8 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     amplitude = (np.exp(-2j * np.pi * np.outer(offsets, place) / (SHAPE_SAMPLES * POINTS)) @ window).real
     weights = amplitude**2
     if blocks.bursts:
-        of_force = (
-            window * np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
-        )
-        seen = np.correlate(window, of_force, "full")[window.size - 1 :]
+        force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
+        seen = np.correlate(window, window * force, "full")[window.size - 1 :]
         seen[1:] *= 2
         turns = np.outer(offsets, np.arange(window.size)) / (window.size * POINTS)
         weights = np.cos(2 * np.pi * turns) @ seen
@@ -208,16 +212,6 @@ def kernel_of(blocks: Blocks) -> LeakageKernel:
     return LeakageKernel(
         blocks, offsets[inside].astype(float), amplitude / np.linalg.norm(amplitude), weights
     )
-
-
-def _polynomial_kernel(blocks: Blocks) -> LeakageKernel:
-    # G_0 of least squares, by a rough force, whose lines have what the leakage's polynomials leave of each.
-    lines = np.arange(-blocks.half_width, blocks.half_width + 1)
-    powers = (lines / blocks.half_width)[:, None] ** np.arange(blocks.degree + 1)
-    smooth = np.linalg.qr(powers)[0]
-    left = 1 - np.sum(smooth**2, axis=1)
-    weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
-    return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
 
 
 # The force window falls from one to zero within this share of its length.

@@ -5,6 +5,8 @@ The printed figures of Harris (1978) are in the validation manual (tests/validat
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,10 +65,11 @@ def test_what_a_block_shows_of_an_impulse_response_after_a_burst(share: float) -
     parts = 64
     course = tuple(1.0 if n < share * parts else 0.0 for n in range(parts))
     kernel = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1", bursts=course))
+    steady = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1"))
+    assert kernel is not None and steady is not None
     for lag in (0.1, 0.4, 0.6, 0.8, 0.95):
         seen = kernel.weights @ np.cos(2 * np.pi * lag * kernel.offsets / POINTS)
         assert seen == pytest.approx(min(1.0, (1 - lag) / share), abs=5e-3)
-    steady = kernel_of(Blocks(2.0, "boxcar", 0.0, 10, "H1"))
     assert share < 1 or np.allclose(kernel.weights, steady.amplitude**2, atol=1e-3)
 
 
@@ -77,6 +80,7 @@ def test_local_polynomials_of_rough_forces_weigh_lines_as_their_kernel(degree: i
     """
     rng, blocks = np.random.default_rng(8), Blocks(1.0, "none", 0.0, 8, "H1", degree, half_width=half_width)
     kernel = kernel_of(blocks)
+    assert kernel is not None and kernel_of(replace(blocks, estimator="H2")) is None
     r = kernel.offsets / POINTS
     for power in range(degree + 1):
         assert kernel.weights @ r**power == pytest.approx(float(power == 0), abs=1e-12 * half_width**power)

@@ -18,7 +18,7 @@ from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.estimation.causes import stated_findings
 from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, rounded_up
-from labpipe.estimation.leakage import Leakage
+from labpipe.estimation.leakage import Leakage, leakage_of
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import Pulls
 from labpipe.methods.floating_bearing.forms import BANDS, FORMS, NAMES, StiffnessModel
@@ -32,7 +32,6 @@ from labpipe.records.spectra import ChannelSpectra
 from labpipe.records.uncertain import Uncertain, Uncertainty, uncertainty_of
 from labpipe.registry import nearest
 from labpipe.spectra.settings import SPECTRA
-from labpipe.spectra.windows import has_kernel, kernel_of
 
 MASS = "mass of the stator"
 
@@ -322,11 +321,9 @@ def _half_power(omega: FloatArray, size: FloatArray) -> tuple[float, float] | No
 
 
 def smeared_balance(stator: Stator, given: Given, balance: Balance) -> SmearedBalance | None:
-    blocks = stator.spectra.blocks
-    if blocks is None or not has_kernel(blocks):
+    leakage = leakage_of(stator.spectra.blocks, stator.omega / (2 * np.pi), np.empty(0), 0)
+    if leakage is None:
         return None
-    numbers = np.round(stator.omega / (2 * np.pi) * blocks.length).astype(np.intp)
-    leakage = Leakage(kernel_of(blocks), numbers, np.empty(0), 0)
     ratio = np.asarray(-(stator.omega**2)[:, None, None] * np.eye(2), np.complex128)
     if not given.absolute and stator.accelerated and balance.motion.shape[1] > 1:
         # The shaft moves too: acceleration per motion against it, where both runs tell it.

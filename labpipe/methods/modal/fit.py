@@ -70,10 +70,12 @@ def _sources(
     errors = matrix_errors(measured, directions=True)
     real = settings.model_settings.shapes == "real"
 
+    def values_of(again: Refined) -> FloatArray:
+        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
+
     def eliminate(change: ComplexArray) -> FloatArray:
         moved = replace(lines, matrix=lines.matrix + (lines.s**lines.power)[:, None, None] * change)
-        again = refine_one_step(replace(terms, lines=moved), refined, real=real)
-        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
+        return values_of(refine_one_step(replace(terms, lines=moved), refined, real=real))
 
     if not errors or estimate.chi2_reduced is None:
         return [*changes_by(errors, eliminate), *of_mass]
@@ -86,8 +88,7 @@ def _sources(
 
     def at(step: FloatArray) -> FloatArray:
         poles, participation, shapes, _ = model.split(values - step)
-        again = replace(refined, poles=poles, participation=participation, shapes=shapes)
-        return np.array([parameter.value for parameter in _parameters(settings, sides, estimate, again)])
+        return values_of(replace(refined, poles=poles, participation=participation, shapes=shapes))
 
     changes = [(at(step) - at(-step)) / (2 * SHARE) for step in steps.T]
     return [*zip((error.uncertainty for error in errors), changes, strict=True), *of_mass]
@@ -313,12 +314,15 @@ def _move_to_mean_poles(
 def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
     if settings.damping == VISCOUS:
         return False
-    for key, written, is_set in (
-        ("shapes", "shapes: real", modal.shapes == "real"),
-        ("moving_mass", "moving_mass", modal.moving_mass is not None),
+    for written, is_set in (
+        ("shapes: real", modal.shapes == "real"),
+        ("moving_mass", modal.moving_mass is not None),
     ):
         if is_set:
-            what = f"'{written}' cannot be combined with {settings.damping} damping"
+            key, what = (
+                written.split(":")[0],
+                f"'{written}' cannot be combined with {settings.damping} damping",
+            )
             raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
     return True
 
@@ -547,13 +551,11 @@ def _curve(form: str, named: str, sides: _Sides, estimate: ModalEstimate, moved:
 
 
 def _polynomial_findings(measured: Measured, refined: Refined) -> list[Finding]:
-    """A warning where local polynomials do not follow the narrowest mode, beside which they put a second."""
     if measured.blocks is None or not measured.blocks.degree:
         return []
-    pole, more = refined.poles[np.argmax(refined.poles.real)], ". A second mode may seem to stand beside it"
+    pole = refined.poles[np.argmax(refined.poles.real)]
     frequency, width = (np.array([abs(pole), -2 * pole.real]) / (2 * np.pi)).tolist()
-    findings = diagnostics.short_block_findings(measured, frequency, width, True)
-    return [replace(finding, message=finding.message + more) for finding in findings]
+    return diagnostics.short_block_findings(measured, frequency, width, True)
 
 
 # Lines in the half-power width below which a window is as wide as the mode.

@@ -577,8 +577,8 @@ def _with_one_more(done: Completed, refined: Refined, before: ResidualTerms) -> 
 def _acts_otherwise(
     residual: ComplexArray, refined: Refined, participation: ComplexArray, shared: float
 ) -> bool:
-    """Whether a part of the *residual* (n, n_output, n_input) [unit of the FRF] acts on the references as no
-    mode of this *participation* (n_input,) [1] does, however its points move.
+    """Whether the *residual* (n, n_output, n_input) holds what no mode of this *participation* (n_input,) [1]
+    leaves, however its points move.
     """
     across = scipy.linalg.null_space(participation[None])
     left = residual @ across

@@ -871,7 +871,7 @@ def test_local_polynomials_that_do_not_follow_a_mode_are_named(block: float, nam
     said = [finding.message for finding in fit.findings if finding.code == "leakage"]
     assert len(said) == named
     if named:
-        assert "degree 3 do not follow its peak" in said[0] and "A second mode may seem" in said[0]
+        assert "degree 3 do not follow its peak" in said[0]
     else:
         f_n, zeta = fit.parameter("f_n_1"), fit.parameter("zeta_1")
         assert abs(f_n.value - 30.0) < 3 * f_n.full_error and abs(zeta.value - 0.02) < 3 * zeta.full_error
