@@ -20,6 +20,8 @@ SAMPLES_OF_SHORT = 120_000
 # long blocks, in memory; two for a channel at least, since sums of n x n products are read and written once
 # for all of them.
 CACHED_SAMPLES, MOST_SAMPLES, SEGMENTS_AT_ONCE = 1 << 18, 1 << 24, 18
+# Most channels, samples of a segment for each from which on rows are faster, and lines of a row in the cache.
+MOST_IN_ROWS, ROWS_FROM, LONG_ROW = 4, 4096, 16_384
 # Complex numbers of products that stay in the cache together with what they are made of.
 CACHED_PRODUCTS = 1 << 15
 
@@ -106,6 +108,45 @@ class SegmentProducts:
         return matrix.transpose(2, 0, 1)
 
 
+class RowProducts:
+    """As SegmentProducts, of a few channels in long segments: each is added at once, by operations on rows of
+    lines.
+    """
+
+    room = 1
+
+    def __init__(self, window: FloatArray, lines: range, n_channel: int, trend: ComplexArray) -> None:
+        self._window, self._lines, self._trend = window, lines, trend
+        self._tapered = np.empty((n_channel, window.size))
+        self._sum = np.zeros((n_channel, n_channel, len(lines)), np.complex128)
+        self.n_block = 0
+
+    def put(self, segments: FloatArray, coefficients: FloatArray) -> None:
+        """Add a segment (1, n, n_channel) with its trends (1, n_row, n_channel) [channel unit]."""
+        np.multiply(segments[0].T, self._window, out=self._tapered)
+        amplitude = fft.rfft(self._tapered, axis=1)[:, self._lines[0] : self._lines[-1] + 1]
+        for trend, values in zip(self._trend, coefficients[0], strict=True):
+            amplitude[:, : trend.size] -= values[:, None] * trend
+        for start in range(0, len(self._lines), LONG_ROW):
+            lines = slice(start, start + LONG_ROW)
+            part = amplitude[:, lines]
+            conjugates = part.conj()
+            for channel, row in enumerate(part):
+                self._sum[channel, : channel + 1, lines] += row * conjugates[: channel + 1]
+        self.n_block += 1
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def matrix(self, columns: Sequence[int] | None = None, scale: float = 1.0) -> ComplexArray:
+        """As of SegmentProducts, (n_line, n_channel, n_channel) [unit]."""
+        matrix = self._sum * scale
+        for row in range(len(matrix)):
+            matrix[row, row].imag = 0.0
+            np.conjugate(matrix[row, :row], out=matrix[:row, row])
+        return (matrix if columns is None else matrix[:, list(columns)]).transpose(2, 0, 1)
+
+
 def _add_matrices(amplitude: ComplexArray, sums: ComplexArray, n_thread: int = 1) -> None:
     """Add sum_k X_a X_b* of *amplitude* (n_line, n_segment, n), lines that stay in the cache together."""
     n_line, n = sums.shape[:2]
@@ -158,7 +199,9 @@ class WelchAverage:
         trend = fft.rfft(window * self._basis, axis=1)[:, lines]
         above = np.abs(trend) > np.finfo(float).eps * np.sqrt(2 * trend.shape[1])
         trend = trend[:, : np.max(np.flatnonzero(np.any(above, axis=0)), initial=-1) + 1]
-        self._products = SegmentProducts(window, self._lines, n_channel, trend)
+        in_rows = n_channel <= MOST_IN_ROWS and window.size >= ROWS_FROM * n_channel
+        way = RowProducts if in_rows else SegmentProducts
+        self._products = way(window, self._lines, n_channel, trend)
         self._rest: list[FloatArray] = []
 
     def add(self, block: FloatArray) -> None:

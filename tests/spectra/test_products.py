@@ -5,15 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.spectra.welch import SegmentProducts, WelchAverage, trend_basis
+from labpipe.spectra.welch import RowProducts, SegmentProducts, WelchAverage, trend_basis
 from labpipe.spectra.windows import window_values
 
 
 @pytest.mark.parametrize("lines", [range(1, 33), range(1, 32), range(5, 12)])
 @pytest.mark.parametrize(("n", "step"), [(64, 64), (64, 24), (65, 24)])
 @pytest.mark.parametrize("n_channel", [1, 2, 3, 4])
+@pytest.mark.parametrize("way", [SegmentProducts, RowProducts])
 def test_sums_are_those_written_out(
-    rng: np.random.Generator, n: int, step: int, lines: range, n_channel: int
+    rng: np.random.Generator,
+    way: type[SegmentProducts | RowProducts],
+    n: int,
+    step: int,
+    lines: range,
+    n_channel: int,
 ) -> None:
     # Literal twin: the trend is taken out of every segment before the window, X_a X_b* is summed segment by
     # segment.
@@ -21,7 +27,7 @@ def test_sums_are_those_written_out(
     samples = rng.normal(size=(6 * step + n, n_channel)) + 3.0
     segments = np.lib.stride_tricks.sliding_window_view(samples, n, axis=0)[::step].swapaxes(1, 2)
     trend = np.fft.rfft(window * basis, axis=1)[:, lines.start : lines.stop]
-    products = SegmentProducts(window, lines, n_channel, trend)
+    products = way(window, lines, n_channel, trend)
     for chunk in (segments[:3], segments[3:]):
         while chunk.shape[0]:
             number = min(products.room, chunk.shape[0])
