@@ -197,8 +197,8 @@ def page(n_row: int, repeats: int) -> str:
         "per line); then H1 with covariance (in its two factors: it is "
         "made whole when it is first read), ordinary, multiple and partial coherence; then `measure`, which "
         "also checks the record and looks for a loop, drift and aliasing. Blocks of more than 120,000 samples, "
-        "all channels together, use two threads where there are two processors: by the clock an FRF takes "
-        "about two thirds of these times.\n",
+        "of five channels or more together, use two threads where there are two processors: by the clock an "
+        "FRF takes about two thirds of these times.\n",
         "| responses x forces | block | samples | bare FFTs | numpy / bare | FRF / bare | measure / bare "
         "|\n|---|---|---|---|---|---|---|",
         *frf_rows(),
