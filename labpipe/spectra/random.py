@@ -275,11 +275,12 @@ def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
 def _force_powers(source: SampleSource, length: float, most: int | None) -> FloatArray:
     """Mean squares (n_part,) [N^2] of the forces, summed over the first *most* blocks."""
     n_sample, inputs = block_samples(source, length), [c.role == "input" for c in source.channels]
-    power = np.zeros(min(PARTS, n_sample))
+    edges = np.linspace(0, n_sample, min(PARTS, n_sample) + 1).astype(int)
+    power = np.zeros(edges.size - 1)
     for block in islice(source.blocks(n_sample), most):
         if len(block) == n_sample:
-            square = (block[:, inputs] - np.mean(block[:, inputs], axis=0)) ** 2
-            power += [np.sum(np.mean(part, axis=0)) for part in np.array_split(square, power.size)]
+            square = np.sum((block[:, inputs] - np.mean(block[:, inputs], axis=0)) ** 2, axis=1)
+            power += np.add.reduceat(square, edges[:-1]) / np.diff(edges)
     return power
 
 

@@ -67,12 +67,8 @@ def identify(table: JournalTable) -> None:
     )
 
     def bearing(depth: float, angle: float) -> VaryingSupport:
-        found = table.coefficients(worn(depth, angle), SPEED)
-        return VaryingSupport(
-            NodeSupport(14, found.stiffness, found.damping),
-            found.stiffness_slopes[:2],
-            found.damping_slopes[:2],
-        )
+        matrices, slopes = table.coefficients(worn(depth, angle), SPEED)
+        return VaryingSupport(NodeSupport(14, *matrices), *slopes[:, :2])
 
     rig, scale = WornRig(standing, bearing, 14, 10), np.array([1e-6, np.deg2rad(1)])
     measured, _ = worn_response(22.27e-6, 0.19, rig, directional=True)
