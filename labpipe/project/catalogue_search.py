@@ -46,10 +46,10 @@ from labpipe.uncertainty.bandwise import holm
 from labpipe.uncertainty.weighted import (
     ControlLimits,
     WeightedFit,
+    are_separable,
     control_limits,
     dof_of_sum,
     straight_trend,
-    told_apart,
     variable_conditions,
 )
 
@@ -371,7 +371,7 @@ class ParameterSeries:
         there = variable_conditions([row.amounts for row in self.rows])
         others = {name: amounts for name, (_, amounts) in there.items() if name != self.over}
         rows = np.array([self.condition, *others.values()])
-        return (tuple(others), rows) if told_apart(rows) else ((), rows[:1])
+        return (tuple(others), rows) if are_separable(rows) else ((), rows[:1])
 
     @property
     def line(self) -> WeightedFit | None:

@@ -124,7 +124,7 @@ class CoefficientSeries:
         over = self.over()
         names = [condition, *(name for name in over if name != condition)]
         rows = np.array([over[name][1] for name in names])
-        number = len(names) if weighted.told_apart(rows) else 1
+        number = len(names) if weighted.are_separable(rows) else 1
         return names[:number], rows[:number]
 
 
@@ -191,7 +191,8 @@ def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
 
 def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...], str]:
     names, rows = series.joint_conditions(condition)
-    x, law = rows[0], "straight trend" if len(names) == 1 else f"trend at the mean {' and '.join(names[1:])}"
+    x, others = rows[0], f" at the mean {' and '.join(names[1:])}" if names[1:] else ""
+    law = f"trend{others}" if others else "straight trend"
     line, columns = series.line_over(rows), weighted.straight_columns(rows)
     if line is None:
         return (), law
@@ -199,7 +200,7 @@ def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...]
     along = np.zeros((N_TREND, columns.shape[1]))
     along[:, 0], along[:, 1] = 1.0, drawn - np.mean(x)
     if line.curved and len(set(x)) > 2:
-        law = f"parabola, since the tests are curved{law.removeprefix('straight ').removeprefix('trend')}"
+        law = f"parabola, since the tests are curved{others}"
         columns = np.column_stack([columns, columns[:, 1] ** 2])
         along = np.column_stack([along, along[:, 1] ** 2])
         line = weighted.weighted_fit(columns, series.show(), *series.parted_errors())
@@ -364,7 +365,7 @@ def _adjust(series: CoefficientSeries, steep: Sequence[Trend]) -> Adjusted:
     names = tuple(of.condition for of in trends)
     rows = np.array([over[name][1] for name in names])
     # Trends over conditions that are not told apart from each other are one.
-    number = len(names) if weighted.told_apart(rows) else 1
+    number = len(names) if weighted.are_separable(rows) else 1
     columns = weighted.straight_columns(rows[:number])
     columns /= np.max(np.abs(columns), axis=0)
     if any(of.line.curved for of in trends):

@@ -175,7 +175,7 @@ class ToneSearch:
             return {}
         force = np.maximum(self._force, np.finfo(float).tiny)[:, None]
         left = np.maximum(self._power - np.abs(self._crossed) ** 2 / force, 0.0)
-        found = {}
+        tones = {}
         for number, (early, late) in enumerate(np.moveaxis(left, 2, 0)):
             line = 3 + int(np.argmax(late[3:-3]))
             around = np.s_[line - 2 : line + 3]
@@ -192,8 +192,8 @@ class ToneSearch:
             frequency = (line + side * (2 * ratio - 1) / (ratio + 1)) / self._window.size
             scale = self.n_hit * self._window.size * np.sum(self._window**2)
             is_most = bool(2 * total > np.sum(power))
-            found[number] = (float(frequency), float(2 * np.sqrt(total / scale)), is_most)
-        return found
+            tones[number] = (float(frequency), float(2 * np.sqrt(total / scale)), is_most)
+        return tones
 
 
 def _harmonics(
@@ -255,7 +255,8 @@ def _refine(source: SampleSource, speed: float, stretch: int, quiet: BoolArray |
 
 
 # Fewest hits, and samples of a quarter of a block, that tell a tone; factor within which a tone has the power
-# of another quarter; power of a tone over that three lines away.
+# of another quarter; power of a tone over that three lines away; mean fourth power of its amplitude over the
+# square of the mean power, below which it is constant from hit to hit.
 LEAST_HITS, LEAST_QUARTER, ALIKE, STANDING, CONSTANT = 4, 64, 2.0, 30.0, 1.2
 # Factor by which the stretches grow that refine a speed; share of a block ahead of a hit that belongs to it,
 # and behind that its response rings.

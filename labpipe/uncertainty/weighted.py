@@ -377,15 +377,15 @@ def variable_conditions(
     """Of the conditions of *tests*, value and unit by name, those that all have and that differ between them:
     unit and values (n,) [that unit] by name.
     """
-    found = {}
+    variable = {}
     for name, (_, unit) in tests[0].items():
         amounts = [conditions.get(name, (0.0, "")) for conditions in tests]
         if len(set(amounts)) > 1 and all(of == unit for _, of in amounts):
-            found[name] = unit, [amount for amount, _ in amounts]
-    return found
+            variable[name] = unit, [amount for amount, _ in amounts]
+    return variable
 
 
-def told_apart(conditions: FloatArray) -> bool:
+def are_separable(conditions: FloatArray) -> bool:
     """Whether tests tell what each of several conditions (n_condition, n) [any unit] does: those that
     moved with the others, their variance inflation above 5, and too few tests do not.
     """

@@ -8,11 +8,11 @@ from scipy import stats
 
 from labpipe.errors import FitError
 from labpipe.uncertainty.weighted import (
+    are_separable,
     control_limits,
     from_the_rest,
     straight_columns,
     straight_trend,
-    told_apart,
 )
 
 
@@ -100,6 +100,6 @@ def test_conditions_are_told_apart_by_their_variance_inflation() -> None:
     other -= x * (x @ other) / (x @ x)
     other *= np.linalg.norm(x) / np.linalg.norm(other)
     for r, told in ((0.0, True), (0.89, True), (0.9, False), (1.0, False)):
-        assert told_apart(np.array([x, r * x + np.sqrt(1 - r**2) * other])) == told
-    assert not told_apart(np.array([[0.0, 1, 2, 3], [1.0, 0, 0, 1]]))
-    assert not told_apart(np.array([x, np.ones(8)])) and not told_apart(np.ones((1, 1)))
+        assert are_separable(np.array([x, r * x + np.sqrt(1 - r**2) * other])) == told
+    assert not are_separable(np.array([[0.0, 1, 2, 3], [1.0, 0, 0, 1]]))
+    assert not are_separable(np.array([x, np.ones(8)])) and not are_separable(np.ones((1, 1)))

@@ -319,10 +319,8 @@ def _is_hysteretic(settings: FitSettings, modal: ModalSettings) -> bool:
         ("moving_mass", modal.moving_mass is not None),
     ):
         if is_set:
-            key, what = (
-                written.split(":")[0],
-                f"'{written}' cannot be combined with {settings.damping} damping",
-            )
+            key = written.split(":")[0]
+            what = f"'{written}' cannot be combined with {settings.damping} damping"
             raise SettingError(key, what, f"leave one of `{key}` and `damping` out")
     return True
 
