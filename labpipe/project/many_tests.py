@@ -107,8 +107,8 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
     """The result of all tests, which sums the dataset up; other parts in the folder go."""
     failed = gathered.summary.failed
     if failed and not gathered.summary.index.tests:
-        others = f"and none of the other {gathered.summary.index.failed - 1} tests could be evaluated"
-        raise DataError(f"{failed[0].message} ({others})")
+        n_test = gathered.summary.index.failed
+        raise DataError(f"{failed[0].message} (none of {n_test} tests could be evaluated)")
     _remark_damaged(output, gathered.parts)
     parts_made = {name: source_ref(output.read_path(name), output.target) for name in gathered.parts}
     inputs = tuple(asdict(SourceRef(name, part.sha256)) for name, part in parts_made.items())

@@ -28,7 +28,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.rig import time_scale
 from labpipe.spectra.free_decays import free_decays
-from labpipe.spectra.measurement import measure
+from labpipe.spectra.measurement import IDLE, measure
 from labpipe.spectra.settings import FrfSettings, ShaftLines
 from labpipe.spectra.shaft import at_rest
 from labpipe.spectra.sweeps import find_dwells, find_sweeps
@@ -76,6 +76,12 @@ class FirstLook:
 
     def column_of(self, role: str) -> list[int]:
         return [number for number, channel in enumerate(self.channels) if channel.role == role]
+
+    def driven(self) -> list[int]:
+        """The columns of the inputs that are not idle beside the strongest."""
+        inputs = self.column_of("input")
+        sizes = np.std(self.rows[:, inputs], axis=0)
+        return [n for n, size in zip(inputs, sizes, strict=True) if not size < IDLE * sizes.max(initial=0.0)]
 
 
 def first_look(table: RawTable) -> FirstLook:
@@ -504,6 +510,15 @@ class Tests:
     paths: Sequence[str]
     conditions: Mapping[str, Mapping[str, str]]
 
+    def are_columns(self, looks: Sequence[FirstLook]) -> bool:
+        """Whether the files, with their *looks*, are the columns of one FRF matrix: a force each in turn."""
+        turns = [look.driven() for look in looks]
+        return (
+            not self.conditions
+            and len(self.paths) > 1
+            and sorted(turns) == [[n] for n in looks[0].column_of("input")]
+        )
+
     def looked_at(self) -> list[Path]:
         """Some of the further files where all are of one kind, else none."""
         kinds = {
@@ -511,10 +526,12 @@ class Tests:
         }
         return list(self.files[1 :: max(1, len(self.files) // LOOKED_AT)]) if len(kinds) == 1 else []
 
-    def lines(self, kind: str) -> list[str]:
+    def lines(self, kind: str, in_turn: bool = False) -> list[str]:
         """The entry `recordings`, `frfs` or `tests` by the *kind* of files: each file of a pattern is a test
-        where their names say by numbers what differed.
+        where their names say by numbers what differed; *in_turn*: all are one response matrix.
         """
+        if in_turn:
+            return [remark(f"recordings: [{', '.join(map(quote, self.paths))}]", "one force after the other")]
         if len(self.paths) == 1 and not self.conditions:
             return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
         stems = [plain_stem(file) for file in self.files]

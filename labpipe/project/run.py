@@ -98,8 +98,7 @@ def measure_tests(
     finished = [job for job in jobs if done[job.test.name].failed is None]
     failed = tuple(failure for job in jobs if (failure := done[job.test.name].failed) is not None)
     if failed and not finished:
-        others = f"and none of the other {len(failed) - 1} tests could be evaluated"
-        raise DataError(f"{failed[0].message} ({others})")
+        raise DataError(f"{failed[0].message} (none of {len(failed)} tests could be evaluated)")
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
     tests = [part for job in finished for part in one_test.measured_of(job, output)]

@@ -222,7 +222,8 @@ def channel_line(channel: first_guess.GuessedChannel, anchor: str) -> str:
 def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequence[FirstLook]) -> list[str]:
     paths = tests.paths
     inputs, outputs = first.column_of("input"), first.column_of("output")
-    excitation = excitation_of(first.rows[:, inputs[0]], first.rate or 1.0) if inputs else None
+    driven = first.driven()[:1]
+    excitation = excitation_of(first.rows[:, driven[0]], first.rate or 1.0) if inputs else None
     decays = {} if inputs or tacho else decay_bands([first, *others], outputs)
     # Displacements and accelerations of a stator, which one response matrix cannot hold.
     quantities = {first.channels[number].quantity for number in outputs}
@@ -231,19 +232,20 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
     peaks: Mapping[str, Proposal] = {}
     drive = None
     if excitation is not None:
-        drive = drive_of(first, inputs[0], excitation)
+        drive = drive_of(first, driven[0], excitation)
         if drive is not None:
             excitation = replace(excitation, band=excitation_of(first.rows[:, drive], first.rate or 1.0).band)
         if first.rate:
-            peaks, excitation = proposals(first, inputs[:1], outputs, excitation, drive)
+            peaks, excitation = proposals(first, driven, outputs, excitation, drive)
             for other in others:
-                seen, _ = proposals(other, inputs[:1], outputs, excitation, drive)
+                seen, _ = proposals(other, other.driven()[:1], outputs, excitation, drive)
                 peaks = widen_bands(peaks, seen)
+    in_turn = tests.are_columns([first, *others])
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
-        *tests.lines("recordings"),
+        *tests.lines("recordings", in_turn),
         *(RUNNING.format(paths[0], tacho).splitlines() if tacho else []),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
         *([remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
@@ -252,7 +254,7 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
     if decays:
         return lines + [line for fit in decays.items() for line in _decay_lines(*fit, first.rate)]
     unknown = f"{OPEN} the channel of {{}}, once rig.yaml knows one"
-    force = first.channels[inputs[0]].key if inputs else unknown.format("the force")
+    force = first.channels[driven[0]].key if inputs else unknown.format("the force")
     keys = [first.channels[number].key for number in outputs]
     keys = keys or [channel.key for channel in first.channels if channel.quantity == DECIDE]
     if not keys:

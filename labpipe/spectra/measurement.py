@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from labpipe.arrays import FloatArray
 from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
@@ -33,6 +34,8 @@ from labpipe.spectra.synchronous import without_shaft
 
 # Multiple coherence below which an output is mostly noise.
 EXPLAINED = 0.5
+# Share of the same force in another recording below which one is the noise of its idle sensor.
+IDLE = 0.05
 
 # Excitations whose forces and responses are compared block by block, and whose records show by themselves
 # whether the loop is closed; periods do by what does not repeat.
@@ -138,8 +141,10 @@ def _with_repeats(
         alone.append(of_one.matrix[lines])
         names.append(source.name)
         chains.append((of_one.outputs, of_one.inputs))
-        levels.append(_level(source))
-    if len(alone) < 2:
+        levels.append(_levels(source))
+    sizes = np.array(levels)
+    # Beside a force that is idle, a recording shows some columns of the response alone.
+    if len(alone) < 2 or (sizes.shape[1] > 1 and np.any(sizes < IDLE * sizes.max(axis=0))):
         return response
     outputs, inputs = (tuple(map(mean_port, zip(*ends, strict=True))) for ends in zip(*chains, strict=True))
     return replace(
@@ -148,7 +153,7 @@ def _with_repeats(
         inputs=inputs,
         repeats=np.array(alone),
         repeat_names=tuple(names),
-        repeat_levels=None if len(response.inputs) > 1 else np.array(levels),
+        repeat_levels=None if sizes.shape[1] > 1 else sizes[:, 0],
         repeat_shares=None,
         repeats_are="recordings",
     )
@@ -169,13 +174,14 @@ def mean_port(ports: tuple[Port, ...]) -> Port:
     return replace(ports[0], uncertainties=tuple(uncertainties))
 
 
-def _level(source: SampleSource) -> float:
-    column = columns_of(source.channels, "input")[0]
-    count, total, square = 0, 0.0, 0.0
+def _levels(source: SampleSource) -> FloatArray:
+    """The r.m.s. of each force about its mean, (n_input,) [unit of the force]."""
+    columns = columns_of(source.channels, "input")
+    count, total, square = 0, np.zeros(len(columns)), np.zeros(len(columns))
     for block in source.blocks(READ_SAMPLES):
-        force = block[:, column]
-        count, total, square = count + force.size, total + float(force.sum()), square + float(force @ force)
-    return float(np.sqrt(max(square / count - (total / count) ** 2, 0.0)))
+        forces = block[:, columns]
+        count, total, square = count + len(forces), total + forces.sum(0), square + (forces**2).sum(0)
+    return np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
 
 
 def _of_sensor_places(

@@ -708,6 +708,33 @@ def test_two_forces_along_two_responses_are_a_rotor(tmp_path: Path, labpipe) -> 
     assert found == pytest.approx(stiffness.ravel().tolist(), rel=0.01)
 
 
+def test_one_force_after_the_other_gives_one_matrix(tmp_path: Path, labpipe) -> None:
+    """Shaken along x, then along y, the sensor of the idle force shows noise: the two files are one rotor's
+    FRFs, not tests of which each lacks half. Motion as above.
+    """
+    stiffness, rng = np.array([[K, 3e3], [-3e3, 1.2 * K]]), np.random.default_rng(5)
+    omega = 2 * np.pi * np.fft.rfftfreq(60_000, 1 / RATE)[:, None, None]
+    dynamic = stiffness + (1j * omega * C - omega**2 * MASS) * np.eye(2)
+    files = [tmp_path / "b.npz", tmp_path / "a.npz"]
+    for direction, file in enumerate(files):
+        force = rng.normal(size=(60_000, 2)) * np.eye(2)[direction]
+        motion = np.fft.irfft(np.linalg.solve(dynamic, np.fft.rfft(force, axis=0)[..., None])[..., 0], axis=0)
+        force += 1e-3 * rng.normal(size=force.shape)
+        columns = zip(("fx", "fy", "x", "y"), np.hstack([force, motion]).T, strict=True)
+        np.savez(file, fs=RATE, **dict(columns))
+    assert labpipe("init", tmp_path / "rig", *files).code == 0
+    rig, pipeline = tmp_path / "rig/rig.yaml", tmp_path / "rig/pipeline.yaml"
+    units = rig.read_text().replace("&displacement DECIDE", "m").replace("*displacement", "m")
+    rig.write_text(units.replace("&force DECIDE", "N").replace("*force", "N"))
+    text = pipeline.read_text().replace("mass: DECIDE", f"mass: {MASS} kg")
+    assert 'recordings: ["../b.npz", "../a.npz"]' in text and "tests:" not in text
+    pipeline.write_text(text)
+    assert labpipe("run", pipeline, "-o", tmp_path / "out").code == 0
+    values = {one["name"]: one["value"] for one in first_fit(tmp_path / "out")["parameters"]}
+    found = [values[name] for name in ("k_xx", "k_xy", "k_yx", "k_yy")]
+    assert found == pytest.approx(stiffness.ravel().tolist(), rel=0.01)
+
+
 def test_blocks_of_random_excitation_are_long_enough_for_the_peak(tmp_path: Path, labpipe) -> None:
     """1024 samples at 10 Hz of a mode 0.08 Hz wide: sixteenths of the record have 0.2 Hz between lines.
 

@@ -160,7 +160,7 @@ def test_nothing_is_reported_when_all_fail(project: Path, labpipe) -> None:
     for preload in PRELOADS:
         (project / f"runs/{preload}N-up.csv").write_text("t [s],force [N],y [um]\n0,1,1\n")
     ended = labpipe("run", project / "pipeline.yaml", "-o", project / "out")
-    assert ended.code == 2 and "100N-up.csv" in ended.err and "none of the other 3 tests" in ended.err
+    assert ended.code == 2 and "100N-up.csv" in ended.err and "none of 4 tests" in ended.err
     assert not (project / "out").exists()
 
 

@@ -172,7 +172,7 @@ def test_put_right_only_the_bad_test_is_done(lab: Path) -> None:
 def test_where_no_test_can_be_evaluated_nothing_is_written(lab: Path) -> None:
     for name in STIFFNESS:
         (lab / f"{name}.csv").write_text(SHORT)
-    with pytest.raises(DataError, match=r"soft\.csv.*none of the other 1 tests could be evaluated"):
+    with pytest.raises(DataError, match=r"soft\.csv.*none of 2 tests could be evaluated"):
         done(lab / "pipeline.yaml", lab / "out")
     assert not [path for path in lab.iterdir() if path.name.startswith(".labpipe-")]
 
