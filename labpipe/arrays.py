@@ -54,7 +54,7 @@ def _is_frozen(values: ArrayLike, dtype: type) -> bool:
     return owner is None
 
 
-def handed_over(values: NDArray[Any]) -> NDArray[Any]:
+def freeze_bases(values: NDArray[Any]) -> NDArray[Any]:
     """The array *values* (n, ...) [any unit] made read-only with all that it is a view of, so that a record
     takes it without a copy.
 

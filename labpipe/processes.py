@@ -21,7 +21,7 @@ SHARED_OUT: ContextVar[int] = ContextVar("processes", default=1)
 
 
 @contextmanager
-def shared_out(processes: int) -> Iterator[None]:
+def use_processes(processes: int) -> Iterator[None]:
     """Let work inside be shared out to so many *processes*; 0: as many as there are processors."""
     token = SHARED_OUT.set(processes or os.cpu_count() or 1)
     try:

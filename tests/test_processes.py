@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.processes import SHARED_OUT, by_turns, shared_out
+from labpipe.processes import SHARED_OUT, by_turns, use_processes
 
 PARENT = """
 import multiprocessing, os, time
@@ -55,7 +55,7 @@ def test_work_is_shared_out_to_as_many_processes_as_are_asked_for(monkeypatch: p
     """None asked for: one for each processor, one where their number is not known; outside one."""
     for asked, processors, processes in ((3, 8, 3), (0, 8, 8), (0, None, 1)):
         monkeypatch.setattr(os, "cpu_count", lambda number=processors: number)
-        with shared_out(asked):
+        with use_processes(asked):
             assert SHARED_OUT.get() == processes
         assert SHARED_OUT.get() == 1
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, handed_over
+from labpipe.arrays import ComplexArray, FloatArray, freeze_bases
 from labpipe.artefacts.header import Header
 from labpipe.artefacts.json_file import entry_of, named_entries, record_of, values_of
 from labpipe.artefacts.parquet import check_layout, numpy_array, read_columns, read_header, write_columns
@@ -219,7 +219,7 @@ def _covariance(columns: Columns, n: int, elements: list[list[int]] | None) -> S
         for j, k in _upper(block.size):
             blocks[:, number, j, k] = _values(columns, f"cov:{block[j]}:{block[k]}")
             blocks[:, number, k, j] = blocks[:, number, j, k].conj()
-    return BlockCovariance(members, handed_over(blocks)) if elements else blocks[:, 0]
+    return BlockCovariance(members, freeze_bases(blocks)) if elements else blocks[:, 0]
 
 
 # ``*.spectra.parquet``: the spectra of all channels of one test, a row per line, with their covariance.

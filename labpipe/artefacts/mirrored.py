@@ -127,11 +127,11 @@ class Mirror:
         names = {name: stamp for name, stamp in self._files() if self._same.get(name) != stamp}
         gone = [name for name in self._same if not (self.folder / name).exists()]
         reports = [name for name in (*names, *gone) if name.startswith(REPORT)]
-        _do_together(self._put, [name for name in names if name != NAME and name not in reports])
-        _do_together(self._remove, reports)
-        _do_together(self._put, [name for name in names if name == NAME])
-        _do_together(self._put, [name for name in reports if name in names])
-        _do_together(self._remove, [name for name in gone if name not in reports])
+        _run_in_threads(self._put, [name for name in names if name != NAME and name not in reports])
+        _run_in_threads(self._remove, reports)
+        _run_in_threads(self._put, [name for name in names if name == NAME])
+        _run_in_threads(self._put, [name for name in reports if name in names])
+        _run_in_threads(self._remove, [name for name in gone if name not in reports])
         self._same = {**{name: stamp for name, stamp in self._same.items() if name not in gone}, **names}
 
     def forget(self) -> None:
@@ -171,7 +171,7 @@ class Mirror:
         yield from (name for name in there if name not in named)
 
     def _get(self, names: Sequence[str], objects: dict[str, Found]) -> None:
-        _do_together(lambda name: get(objects[name].path, self.folder / name), names)
+        _run_in_threads(lambda name: get(objects[name].path, self.folder / name), names)
         for name in names:
             there = (self.folder / name).stat()
             self._same[name] = there.st_ino, there.st_mtime_ns
@@ -193,7 +193,7 @@ class _Itself(Mirror):
         """Nothing is to be done."""
 
 
-def _do_together(work: Callable[[str], None], names: Iterable[str]) -> None:
+def _run_in_threads(work: Callable[[str], None], names: Iterable[str]) -> None:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = [pool.submit(work, name) for name in names]
         try:

@@ -150,11 +150,11 @@ def fresh_path(output: OutputFolder, name: str, header: Header) -> Path | None:
             # This code writes a digest: it was lost.
             raise DamagedError("carries no digest")
     except DamagedError as error:
-        output.remarks.append(made_again(error, path))
+        output.remarks.append(remake_line(error, path))
         return None
     return path
 
 
-def made_again(fault: DataError, path: Path) -> str:
+def remake_line(fault: DataError, path: Path) -> str:
     """The line that says why an artefact is made again."""
     return f"{path}: {fault.what}; it is made again"

@@ -280,7 +280,7 @@ def _verify_folder(here: Path, name: str, pipeline_path: Path | None, how: Manne
                 echo(f"note   {place}: {remark}")
     faults = sum(bool(artefact.faults) for artefact in artefacts)
     if how.again and pipeline_path is not None:
-        others = _done_again(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
+        others = _rerun_differences(here, load_pipeline(pipeline_path, how.overrides), how.jobs)
         for line in others:
             echo(f"FAILED {line}".replace(str(here), name))
         faults += len(others)
@@ -320,7 +320,7 @@ def _verify_archive(path: Path, pipeline_path: Path | None, how: Manners) -> int
         return code
 
 
-def _done_again(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
+def _rerun_differences(folder: Path, pipeline: Pipeline, jobs: int) -> list[str]:
     with tempfile.TemporaryDirectory() as scratch:
         with output_folder(Path(scratch) / "out") as output:
             run(pipeline, output, manner(True, False, jobs, None))

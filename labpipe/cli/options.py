@@ -132,7 +132,7 @@ def results_folder(path: Path) -> Iterator[OutputFolder]:
 
 
 @contextmanager
-def asked_to_stop() -> Iterator[list[int]]:
+def hold_signals() -> Iterator[list[int]]:
     """The signals that asked a command to end, instead of ending it at once."""
     asked: list[int] = []
     before = {

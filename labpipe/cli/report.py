@@ -14,7 +14,7 @@ from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.cli import options
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError
-from labpipe.processes import shared_out
+from labpipe.processes import use_processes
 from labpipe.project.measured import files_of_test
 from labpipe.project.report import write_campaign, write_report, write_test_report
 from labpipe.registry import Registry
@@ -62,7 +62,7 @@ def report(
     """
     wanted = (lambda name: summary(name) or name in files_of_test(test)) if test else summary
     with ExitStack() as stack:
-        stack.enter_context(shared_out(jobs))
+        stack.enter_context(use_processes(jobs))
         heres = [stack.enter_context(read_results(place, wanted)) for place in results]
         paths = result_files(heres)
         tell = options.teller(quiet, verbose)

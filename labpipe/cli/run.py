@@ -18,7 +18,7 @@ from labpipe.cli.many import check_shared, executor, manner
 from labpipe.cli.output import echo
 from labpipe.cli.terminal import echo_failed, echo_result
 from labpipe.errors import ConfigError, DataError
-from labpipe.processes import pool_of, shared_out
+from labpipe.processes import pool_of, use_processes
 from labpipe.project.many_tests import hindrance
 from labpipe.project.measured import files_of_test
 from labpipe.project.pipeline_file import load_for_files_to_come, load_pipeline
@@ -72,7 +72,7 @@ def run(
             with options.results_folder(here) as folder:
                 identification = run_pipeline(pipeline, folder, how)
                 outdate_reports(folder, pipeline.report.formats)
-            with shared_out(jobs):
+            with use_processes(jobs):
                 write_reports(identification, here, pipeline.report.formats, how.tell)
         made.append(identification)
     reports = [f"report.{name}" for name in pipeline.report.formats]
@@ -242,7 +242,7 @@ def watch(
         what = "--log: is needed where the results are elsewhere"
         raise ConfigError(what, show(output), "name a folder of this machine")
     log_folder.mkdir(parents=True, exist_ok=True)
-    with hold_lock(log_folder / LOCK), options.asked_to_stop() as asked, keep_results(output) as mirror:
+    with hold_lock(log_folder / LOCK), options.hold_signals() as asked, keep_results(output) as mirror:
         watched = Watch(
             pipeline,
             per_file,

@@ -173,7 +173,7 @@ def render_pdf(document: Document) -> bytes:
     """The document as PDF: a cover to sign (or just its title), then every section.
 
     Headings are the file's bookmarks. The same bytes whatever the number of processes that draw, which is
-    that of `processes.shared_out`.
+    that of `processes.use_processes`.
     """
     pages = _Pages(document)
     count = sum(isinstance(block, Figure) for section in document.sections for block in section.blocks)

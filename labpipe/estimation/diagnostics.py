@@ -556,7 +556,7 @@ def short_block_findings(
         enough = 2 * FEWEST_LINES if modelled else LINES_BY_DEGREE / blocks.degree
     if lines >= enough or (blocks.bursts and (modelled or blocks.dies_away(lines))):
         return []
-    needed = f"blocks of at least {rounded_up((TOO_WIDE if lines < 1 else 1.0) * enough / width):g} s"
+    needed = f"blocks of at least {round_up((TOO_WIDE if lines < 1 else 1.0) * enough / width):g} s"
     which = (
         f"the mode at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), {lines:.2g} lines of "
         f"blocks of {blocks.length:.3g} s"
@@ -591,7 +591,7 @@ def _narrowest(measured: Measured, whole: Matrices) -> tuple[float, float] | Non
     return float(frequency[chosen]), float(width[chosen])
 
 
-def rounded_up(length: float) -> float:
+def round_up(length: float) -> float:
     """The length [s] with two digits, not below it."""
     digit = 10.0 ** (np.floor(np.log10(length)) - 1)
     return float(np.ceil(length / digit * (1 - 1e-9)) * digit)

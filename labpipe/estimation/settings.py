@@ -13,7 +13,18 @@ from typing import TYPE_CHECKING, Any
 from labpipe.errors import ConfigError, SettingError
 from labpipe.estimation.estimators import Estimator
 from labpipe.records.identification import Fit
-from labpipe.records.settings import ESTIMATE, Settings, Uncertainties, choice, quantity, section, setting
+from labpipe.records.settings import (
+    ESTIMATE,
+    Settings,
+    Uncertainties,
+    choice,
+    flag,
+    integer,
+    name_list,
+    quantity,
+    section,
+    setting,
+)
 from labpipe.records.uncertain import RepeatSource, Uncertain
 from labpipe.registry import Registry
 from labpipe.spectra.settings import DECAYS, RESPONSES, SPECTRA
@@ -138,10 +149,8 @@ class FitSettings(Settings):
     _: KW_ONLY
     mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", "kg", ESTIMATE)
     estimator: str = choice("how it is estimated", tuple(ESTIMATORS), "ml")
-    input: tuple[str, ...] = setting("names", "force channel(s); default: all", default=())
-    output: tuple[str, ...] = setting(
-        "names", "response channel(s); default: all the model takes", default=()
-    )
+    input: tuple[str, ...] = name_list("force channel(s); default: all")
+    output: tuple[str, ...] = name_list("response channel(s); default: all the model takes")
     band: tuple[float, float] | None = setting("band", "frequencies used; default: all", "Hz", None)
     bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", "Hz", ())
     peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
@@ -149,20 +158,16 @@ class FitSettings(Settings):
     )
     sliding: Sliding | None = section("repeat the fit in sliding bands", Sliding, None)
     subtract: Support | None = section("support to subtract", Support, None)
-    share: int = setting("integer", "equal bearings in parallel that share the load", default=1)
-    eliminate: bool = setting("flag", "drop insignificant parameters one by one", default=False)
-    symmetric: bool = setting("flag", "K, C and M are symmetric", default=False)
-    lumped_mass: bool = setting("flag", "with mass: estimate: the mass matrix is diagonal", default=False)
-    scale_mass: bool = setting(
-        "flag", "the given mass is known but for a factor, which is estimated", default=False
-    )
-    residuals: bool = setting(
-        "flag",
+    share: int = integer("equal bearings in parallel that share the load", 1)
+    eliminate: bool = flag("drop insignificant parameters one by one")
+    symmetric: bool = flag("K, C and M are symmetric")
+    lumped_mass: bool = flag("with mass: estimate: the mass matrix is diagonal")
+    scale_mass: bool = flag("the given mass is known but for a factor, which is estimated")
+    residuals: bool = flag(
         "with mass: estimate: a constant beside the mode for those outside the band; modal: one for those "
-        "below and one for those above it, no more",
-        default=False,
+        "below and one for those above it, no more"
     )
-    relative: bool = setting("flag", "the response is measured relative to the base", default=False)
+    relative: bool = flag("the response is measured relative to the base")
     damping: str = choice(
         "viscous; proportional: C = alpha M + beta K; hysteretic: K (1 + j eta), eta the loss factor",
         (VISCOUS, *DAMPINGS),
@@ -177,26 +182,20 @@ class FitSettings(Settings):
     weight: str = choice(
         "all lines weigh alike, or by their noise (as they always do for ml)", WEIGHTS, "none"
     )
-    bootstrap: int = setting(
-        "integer", "repeats of the fit on resampled noise, for intervals beyond first order", default=0
-    )
+    bootstrap: int = integer("repeats of the fit on resampled noise, for intervals beyond first order", 0)
     coverage: float = quantity("probability of expanded uncertainties", "1", 0.95)
-    monte_carlo: int = setting(
-        "integer",
-        "draws of noise and of all numbers with an uncertainty, as a check of the budget",
-        default=0,
+    monte_carlo: int = integer(
+        "draws of noise and of all numbers with an uncertainty, as a check of the budget", 0
     )
-    compare: bool = setting("flag", "compare the model with simpler and richer ones", default=False)
-    test: tuple[str, ...] = setting("names", "tests that are fitted; default: all", default=())
+    compare: bool = flag("compare the model with simpler and richer ones")
+    test: tuple[str, ...] = name_list("tests that are fitted; default: all")
     repeats: str = choice(
         "several recordings of one test: each fitted, and their mean; or pool, one fit of all",
         ("each", "pool"),
         "each",
     )
-    repeat_groups: tuple[str, ...] = setting(
-        "names",
-        "days, mountings: the names of the recordings of each, as patterns; a group is one repeat",
-        default=(),
+    repeat_groups: tuple[str, ...] = name_list(
+        "days, mountings: the names of the recordings of each, as patterns; a group is one repeat"
     )
     name: str = ""
     model_settings: Any = None

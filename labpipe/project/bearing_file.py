@@ -65,7 +65,7 @@ def open_bearing(path: Path, overrides: Iterable[str] = ()) -> BearingFile:
     kind = kind_of(tree, "", faults)
     faults.raise_any()
     assert kind is not None
-    uncertainties = taken_uncertainties(tree, kind, "", kind.settings, faults)
+    uncertainties = pop_uncertainties(tree, kind, "", kind.settings, faults)
     faults.raise_any()
     return BearingFile(path, tree.content["kind"].text, kind, tree, uncertainties)
 
@@ -77,7 +77,7 @@ def setting_at(owner: type, key: str) -> Setting:
     return declared if not rest or declared.section is None else setting_at(declared.section, rest)
 
 
-def taken_uncertainties(
+def pop_uncertainties(
     node: Marked, kind: BearingKind, key: str, owner: type, faults: Faults
 ) -> dict[str, Uncertain]:
     """The uncertain numbers of a mapping by their keys; in the tree their values then stand alone."""
@@ -89,7 +89,7 @@ def taken_uncertainties(
         if entry is None:
             continue
         if declared.section is not None:
-            uncertainties |= taken_uncertainties(entry, kind, join(key, name), declared.section, faults)
+            uncertainties |= pop_uncertainties(entry, kind, join(key, name), declared.section, faults)
             continue
         entry = shorten_number(entry, declared.kind)
         if declared.kind != "value" or not is_uncertain(entry.text):

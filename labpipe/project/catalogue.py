@@ -173,7 +173,7 @@ class Filter:
         self._ends()
 
     def _ends(self) -> list[datetime.date | None]:
-        return [checked_day(day) if day else None for day in (self.since, self.until)]
+        return [parse_day(day) if day else None for day in (self.since, self.until)]
 
     def covers(self, date: str) -> bool:
         """Whether a date is one of the days; what is none is neither before nor after another."""
@@ -285,7 +285,7 @@ def names_meant(column: str, pattern: str, names: Sequence[str]) -> list[str]:
     return kept
 
 
-def checked_day(text: str) -> datetime.date:
+def parse_day(text: str) -> datetime.date:
     """The day that a text says; ConfigError for what is none."""
     try:
         return datetime.date.fromisoformat(text)

@@ -31,7 +31,7 @@ def stated_error(parameter: Parameter) -> float | None:
     return (parameter.ci95[1] - parameter.ci95[0]) / (2 * NORMAL)
 
 
-def expanded_of(parameter: Parameter) -> float | None:
+def expanded_uncertainty(parameter: Parameter) -> float | None:
     """The expanded uncertainty [unit of the parameter], half the 95 % interval where noise alone is known."""
     if parameter.expanded is not None or parameter.ci95 is None:
         return parameter.expanded
@@ -163,7 +163,7 @@ class Limited:
         return math.sqrt(max((self.error or 0.0) ** 2 - sum(by**2 for by in self.changes.values()), 0.0))
 
 
-def limited_by_fit(rule: Rule, fit: Fit, parameter: Parameter) -> Limited:
+def limits_on_fit(rule: Rule, fit: Fit, parameter: Parameter) -> Limited:
     """A parameter of a fit with its limits; UnitError for those of another dimension."""
     assert rule.decision is not None
     return Limited(
@@ -177,7 +177,7 @@ def limited_by_fit(rule: Rule, fit: Fit, parameter: Parameter) -> Limited:
     )
 
 
-def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter) -> Limited:
+def limits_on_comparison(rule: Rule, comparison: Comparison, amount: Parameter) -> Limited:
     """An amount of a comparison with its limits; UnitError for those of another dimension."""
     assert rule.decision is not None
     why = comparison.why_undecided(amount.name)
@@ -186,7 +186,7 @@ def limited_by_comparison(rule: Rule, comparison: Comparison, amount: Parameter)
     return Limited(comparison, amount.name, limits, value, stated_error(amount), why=why)
 
 
-def decided_together(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
+def decide_jointly(rule: Rule, numbers: Sequence[Limited]) -> RuleOutcome:
     """The outcome of limits that hold at once, by the joint covariance of their values; where a correlation
     is not known, by the least probability that any leaves.
     """

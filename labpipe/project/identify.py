@@ -11,7 +11,7 @@ from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
 from labpipe.artefacts.json_file import entry_of
-from labpipe.artefacts.parquet import made_again
+from labpipe.artefacts.parquet import remake_line
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError
 from labpipe.project.judging import judge
@@ -112,10 +112,10 @@ def _existing(output: OutputFolder) -> Identification | None:
     try:
         existing = read_identification(path)
     except DataError as error:
-        output.remarks.append(made_again(error, path))
+        output.remarks.append(remake_line(error, path))
         return None
     if not existing.digest and existing.code == code_digest():
-        output.remarks.append(made_again(DamagedError("carries no digest"), path))
+        output.remarks.append(remake_line(DamagedError("carries no digest"), path))
         return None
     return existing
 

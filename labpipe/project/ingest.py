@@ -207,11 +207,11 @@ def ingest(source: SourceFile, output: OutputFolder, name: str, base: Path) -> r
     recording = writer.recording()
     for path, reference in zip(source.paths, header.inputs, strict=True):
         if source_ref(path, base) != reference:
-            raise changed_while_read(path)
+            raise write_conflict(path)
     return recording
 
 
-def changed_while_read(path: Path) -> DataError:
+def write_conflict(path: Path) -> DataError:
     """The fault of a file that was written to meanwhile."""
     return DataError("changed while it was read", path, "run again when it is complete")
 
@@ -517,7 +517,7 @@ class RawRecording:
         if not changed and self._began - self._state[0] < YOUNG:
             changed = file_sha256(self.path) != self._sha256
         if changed:
-            raise changed_while_read(self.path)
+            raise write_conflict(self.path)
 
 
 def _state_of(path: Path) -> tuple[int, int, int]:

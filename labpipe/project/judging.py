@@ -131,7 +131,7 @@ def judge_joint_rule(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]
     for member in rule.together:
         with replace(member, address=f"{rule.address}.{member.address}").faults_of_units():
             numbers.extend(_limit(member, fits, records))
-    return deciding.decided_together(rule, numbers)
+    return deciding.decide_jointly(rule, numbers)
 
 
 def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[deciding.Limited]:
@@ -144,11 +144,11 @@ def _limit(rule: Rule, fits: Sequence[Fit], records: Mapping[str, Any]) -> list[
     ]
     if comparisons:
         amount = _amount(rule, comparisons[0], rule.item)
-        return [deciding.limited_by_comparison(rule, comparisons[0], amount)]
+        return [deciding.limits_on_comparison(rule, comparisons[0], amount)]
     addressed = _having(rule, _address(rule, fits))
     if not addressed or rule.item in _FIT_VALUES:
         raise UnitError("no such fit or parameter in the result", "limits together need parameters of fits")
-    return [deciding.limited_by_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
+    return [deciding.limits_on_fit(rule, fit, fit.parameter(rule.item)) for fit in addressed]
 
 
 def judged_part(rule: Rule, fits: Sequence[Fit]) -> PartialOutcome:
@@ -261,7 +261,7 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
         return compare_number(rule, parameter.full_error, parameter.unit)
     if attribute == "expanded":
         # The expanded uncertainty against a rule, relative to the value where that is in per cent
-        half = deciding.expanded_of(parameter)
+        half = deciding.expanded_uncertainty(parameter)
         if parameter.ci95 is None or half is None:
             return None, False, "", None
         if rule.bound.endswith("%"):
@@ -272,7 +272,7 @@ def _compare_attribute(rule: Rule, parameter: Parameter, attribute: str) -> deci
     if attribute:
         what = f"'{parameter.name}' has no '{attribute}'"
         raise rule.fault(what, nearest(attribute, ("std_error", "expanded", "covers", "significant")))
-    errors = deciding.stated_error(parameter), deciding.expanded_of(parameter)
+    errors = deciding.stated_error(parameter), deciding.expanded_uncertainty(parameter)
     return compare_number(rule, parameter.value, parameter.unit, *errors)
 
 

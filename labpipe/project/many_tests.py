@@ -13,7 +13,7 @@ from labpipe.artefacts.dataset_file import parts, write_parts
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, code_digest, source_ref
 from labpipe.artefacts.identification_file import NAME, read_identification, write_identification
-from labpipe.artefacts.parquet import made_again, read_header
+from labpipe.artefacts.parquet import read_header, remake_line
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import ConfigError, DataError
 from labpipe.estimation.levels import LEVELS
@@ -112,14 +112,14 @@ def identify(pipeline: Pipeline, gathered: Gathered, output: OutputFolder) -> Id
     _remark_damaged(output, gathered.parts)
     parts_made = {name: source_ref(output.read_path(name), output.target) for name in gathered.parts}
     inputs = tuple(asdict(SourceRef(name, part.sha256)) for name, part in parts_made.items())
-    identification = replace(summed_up(pipeline, gathered.summary), inputs=inputs)
+    identification = replace(summarise_tests(pipeline, gathered.summary), inputs=inputs)
     write_identification(output.write_path(NAME), identification)
     for name in (*gathered.parts, NAME):
         output.leave_same(name)
     return identification
 
 
-def summed_up(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
+def summarise_tests(pipeline: Pipeline, summary: DatasetSummary) -> Identification:
     """The result of many tests but its parts. ConfigError for a rule on nothing where no test failed."""
     return Identification(
         fits=(),
@@ -156,7 +156,7 @@ def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
         try:
             read_header(part.path)
         except DamagedError as error:
-            output.remarks.append(made_again(error, part.path))
+            output.remarks.append(remake_line(error, part.path))
         name = part.path.relative_to(output.target).as_posix()
         if name not in names:
             output.outdate(name)
@@ -165,4 +165,4 @@ def _remark_damaged(output: OutputFolder, names: Sequence[str]) -> None:
         try:
             read_identification(path)
         except DataError as error:
-            output.remarks.append(made_again(error, path))
+            output.remarks.append(remake_line(error, path))

@@ -18,7 +18,7 @@ from labpipe.artefacts.dataset_file import CONDITION, UNNAMED, columns_of_condit
 from labpipe.artefacts.digest import DamagedError
 from labpipe.artefacts.header import SourceRef, source_ref
 from labpipe.artefacts.identification_file import fits_with_digest, has_fresh_fits, read_fits, write_fits
-from labpipe.artefacts.parquet import made_again, read_header
+from labpipe.artefacts.parquet import read_header, remake_line
 from labpipe.artefacts.places import StorageError, fetch, status
 from labpipe.artefacts.recording_file import SUFFIX as RECORDING, StoredRecording
 from labpipe.artefacts.writing import OutputFolder, is_remote, output_folder
@@ -295,7 +295,7 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
                 raise ConfigError("frf: is missing", job.pipeline_path, "say how the recordings become FRFs")
             tell(f"frf       {job.test.name or job.pipeline_path.stem}")
             conditions = {**job.test.conditions, **recorded_conditions(stored, job.test.recorded)}
-            measure_test(stored, job.frf, output, job.test.name, conditions, partial(_seen_in_files, job))
+            measure_test(stored, job.frf, output, job.test.name, conditions, partial(_window_findings, job))
         recorded = tuple(
             reference for recording in stored for reference in recording_refs(recording, job.folder)
         )
@@ -321,7 +321,7 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
         if len(recordings) < len(raw):
             return None
         tell(f"frf       {job.test.name or job.pipeline_path.stem}")
-        seen = partial(_seen_in_files, job)
+        seen = partial(_window_findings, job)
         measure_test(recordings, job.frf, output, job.test.name, job.test.conditions, seen)
         for recording in recordings:
             recording.check_unchanged()
@@ -335,7 +335,7 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
     return tuple(recording.source_ref() for recording in recordings)
 
 
-def _seen_in_files(job: Job) -> list[Finding]:
+def _window_findings(job: Job) -> list[Finding]:
     """What the first raw file with copies of its channels says against the window that is stated."""
     # A run that changes nothing needs none of what looks at raw files.
     from labpipe.project.first_guess import windows_of_copies_alone
@@ -419,7 +419,7 @@ def fit(job: Job, output: OutputFolder) -> None:
         if has_fresh_fits(path, settings_of_test, inputs):
             return
     except DamagedError as error:
-        output.remarks.append(made_again(error, path))
+        output.remarks.append(remake_line(error, path))
     measured = measured_of(job, output)
     fits = [made for settings in settings_of_test for made in fits_of(measured, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, settings_of_test, inputs)

@@ -519,7 +519,7 @@ class Tests:
             and sorted(turns) == [[n] for n in looks[0].column_of("input")]
         )
 
-    def looked_at(self) -> list[Path]:
+    def further_files(self) -> list[Path]:
         """Some of the further files where all are of one kind, else none."""
         kinds = {
             (tuple(table.columns), *sorted(table.units.items())) for table in map(open_table, self.files)
@@ -536,7 +536,7 @@ class Tests:
             return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
         stems = [plain_stem(file) for file in self.files]
         pattern = pattern_of_names(stems) if kind == "recordings" and not self.conditions else ""
-        if pattern and self.looked_at():
+        if pattern and self.further_files():
             each = remark(f"  - each: {quote(self._glob() or list(self.paths))}", "every file is a test")
             return ["tests:", each, remark(f"    pattern: {quote(pattern)}", "conditions in their names")]
         lines = [remark("tests:", "conditions: {speed: 3000 rpm} states what differed")]

@@ -118,7 +118,7 @@ def _scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     if joined:
         paths = [f"{{join: {quote(paths)}}}"]
     tests = Tests(files, paths, conditions)
-    others = [] if len(paths) == 1 else [first_look(open_table(file)) for file in tests.looked_at()]
+    others = [] if len(paths) == 1 else [first_look(open_table(file)) for file in tests.further_files()]
     tacho = None if first.column_of("input") else turning_tacho(first)
     pipeline = _text([*_pipeline(first, tests, tacho, others), *together])
     if references:

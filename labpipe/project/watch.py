@@ -21,7 +21,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.project.executors import Execute, serially
 from labpipe.project.identify import rig_entry
 from labpipe.project.ingest import SourceFile
-from labpipe.project.many_tests import outcome_of, settings_of_many, summed_up
+from labpipe.project.many_tests import outcome_of, settings_of_many, summarise_tests
 from labpipe.project.measured import fits_file_name
 from labpipe.project.one_test import Done, Job, work
 from labpipe.project.pipeline_file import Pipeline
@@ -42,7 +42,7 @@ class Arrived:
     marked: bool = False
 
 
-def arrived_in(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
+def arrivals(folder: Path, names: str, marker: str) -> Iterator[Arrived]:
     """Readable files that fit the glob *names*, none hidden; *marker*: ending of files that mark others."""
     for arrival in _objects(folder, names, marker) if is_remote(folder) else _files(folder, names, marker):
         if plain_suffix(arrival.path) in READERS and not any(
@@ -200,7 +200,7 @@ class Watch:
     def _iterate_arrivals(self) -> Iterator[Arrived]:
         home = self.home or self.results
         new = []
-        for arrival in arrived_in(self.folder, self.settings.names, self.settings.marker):
+        for arrival in arrivals(self.folder, self.settings.names, self.settings.marker):
             if home not in arrival.path.parents:
                 if self.name_of(arrival.path) in self._done:
                     self._tell_changed(arrival)
@@ -310,7 +310,7 @@ class Watch:
 
     def _write_index(self) -> None:
         with output_folder(self.results) as folder:
-            result = summed_up(self.pipeline, self._summary)
+            result = summarise_tests(self.pipeline, self._summary)
             if self._rigs_before:
                 result = replace(result, rig={**result.rig, RIGS_BEFORE: self._rigs_before})
             write_identification(folder.write_path(NAME), result)

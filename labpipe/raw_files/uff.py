@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.arrays import ComplexArray, FloatArray, handed_over, modal_assurance
+from labpipe.arrays import ComplexArray, FloatArray, freeze_bases, modal_assurance
 from labpipe.errors import DataError
 from labpipe.raw_files.text_table import check_filled
 
@@ -383,7 +383,7 @@ def read_shapes_uff(path: Path) -> FileShapes | None:
     points = tuple(f"{node}.{axis}" for node in alike[0].nodes for axis in axes)
     matrix = np.stack([mode.shape for mode in alike], axis=1)
     pairs = np.array([mode.pole for mode in alike])
-    return FileShapes(points, pairs[:, 0], pairs[:, 1], handed_over(matrix), len(sets) - len(alike))
+    return FileShapes(points, pairs[:, 0], pairs[:, 1], freeze_bases(matrix), len(sets) - len(alike))
 
 
 @dataclass(frozen=True)

@@ -545,6 +545,11 @@ def text(help: str, default: str | None = "") -> Any:
     return setting("text", help, default=default)
 
 
+def name_list(help: str) -> Any:
+    """A dataclass field of one name or several, none by default: a setting of the kind names."""
+    return setting("names", help, default=())
+
+
 def choice(help: str, choices: tuple[str, ...], default: Any = MISSING) -> Any:
     """A dataclass field of one of the *choices*: a setting of the kind choice."""
     return setting("choice", help, choices=choices, default=default)

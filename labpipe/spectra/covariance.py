@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from labpipe.arrays import ComplexArray, FloatArray, handed_over
+from labpipe.arrays import ComplexArray, FloatArray, freeze_bases
 from labpipe.records.response import BlockCovariance, FactoredCovariance, StoredCovariance
 from labpipe.spectra.matrices import (
     hermitian,
@@ -85,7 +85,7 @@ def covariance_of_h1(
     """
     residual = pooled_residual(schur_complement(spectra, response.shape[2]), response, half_width)
     spread = without_rounding(inverse_force).swapaxes(1, 2) / max(averages - response.shape[2], 1.0)
-    return FactoredCovariance(handed_over(residual), handed_over(spread))
+    return FactoredCovariance(freeze_bases(residual), freeze_bases(spread))
 
 
 def residual_spectrum(spectra: ComplexArray, response: ComplexArray) -> ComplexArray:
@@ -335,11 +335,11 @@ def covariance_of_periodic(
 def correct_covariance(covariance: StoredCovariance, factor: ComplexArray) -> StoredCovariance:
     """The *covariance* of elements times a *factor* (n_frequency, n_output, n_input) [1]."""
     if covariance is None or np.all(factor == 1):
-        return handed_over(covariance) if isinstance(covariance, np.ndarray) else covariance
+        return freeze_bases(covariance) if isinstance(covariance, np.ndarray) else covariance
     flat = factor.reshape(factor.shape[0], -1)
     if isinstance(covariance, BlockCovariance):
         return covariance.times(flat)
     whole = covariance.whole() if isinstance(covariance, FactoredCovariance) else covariance
     scaled: ComplexArray = whole * flat[:, :, None]
     scaled *= flat[:, None, :].conj()
-    return handed_over(scaled)
+    return freeze_bases(scaled)

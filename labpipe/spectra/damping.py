@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, handed_over
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, IntArray, freeze_bases
 from labpipe.errors import DataError
 from labpipe.records.response import BlockCovariance, FrequencyResponse, variance_of
 from labpipe.spectra.matrices import without_rounding
@@ -235,7 +235,7 @@ def parts_without_window(parts: Parts, decay: float, correlation: ComplexArray) 
             blocks[:, number] = covariance_without_damping(
                 by_element[:, :, elements], covariance.blocks[:, number], correlation
             )
-        covariance = BlockCovariance(covariance.elements, handed_over(blocks))
+        covariance = BlockCovariance(covariance.elements, freeze_bases(blocks))
     size = np.sqrt(_noise_power(gains, between))
     return replace(
         parts,

@@ -20,7 +20,7 @@ from labpipe.spectra.matrices import hermitian
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, select_lines
 from labpipe.spectra.random import blocks_of, change_of_random, shares_of, welch_average
 from labpipe.spectra.random_lines import (
-    check_moved,
+    check_injection,
     check_recorded,
     due_to_drives,
     lower_of_drives,
@@ -222,7 +222,7 @@ def _strength_findings(
 ) -> tuple[Finding, ...]:
     named, weak = ", ".join(settings.reference), estimate.strength < LOW_SNR
     forces = ", ".join(port.label for port in layout.inputs)
-    check_moved(estimate.strength, frequency, settings.reference, [port.label for port in layout.inputs])
+    check_injection(estimate.strength, frequency, settings.reference, [port.label for port in layout.inputs])
     if np.mean(weak) <= POOR_SHARE:
         return ()
     what = (

@@ -39,7 +39,7 @@ from labpipe.spectra.period_average import (
 from labpipe.spectra.ports import POOR_SHARE, Layout, Parts, select_lines
 from labpipe.spectra.quality import force_inverse, multiple_coherence, signal_to_noise
 from labpipe.spectra.random import cut_at
-from labpipe.spectra.random_lines import LOW_SNR, check_moved, low_snr
+from labpipe.spectra.random_lines import LOW_SNR, check_injection, low_snr
 from labpipe.spectra.settings import FrfSettings
 
 
@@ -123,7 +123,7 @@ def periodic_parts(sources: Sequence[SampleSource], settings: FrfSettings, layou
         findings = list(_snr_findings(snr, mean, layout, not unsettled))
     if settings.reference and noise is not None and snr is not None:
         for number, port in enumerate(layout.inputs):
-            check_moved(snr[:, number], frequency, settings.reference, [port.label])
+            check_injection(snr[:, number], frequency, settings.reference, [port.label])
         covariance = joint.covariance_by_neighbours(frequency, matrix, mean, noises)
         power = np.tensordot([spectrum.n_period for spectrum in spectra], noise, axes=1)
         open_loop = joint.open_loop_estimate(mean @ hermitian(mean) + power, n_input)

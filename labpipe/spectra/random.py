@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from labpipe.arrays import BoolArray, ComplexArray, FloatArray, handed_over
+from labpipe.arrays import BoolArray, ComplexArray, FloatArray, freeze_bases
 from labpipe.errors import ConfigError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
@@ -239,7 +239,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     spectra = [whole for whole, _ in halved]
     blocks = blocks_of(spectra, settings, settings.estimator, layout.derivatives)
     single = settings.estimator == "H1" and layout.one_force_each
-    apart = single and known_by_force(spectra, layout)
+    apart = single and tells_noise_by_force(spectra, layout)
     if single:
         of_force = np.array([spectrum.n_block for spectrum in spectra]) @ _acting(layout)
         blocks = replace(blocks, by_force=tuple(map(int, of_force)), apart=apart)
@@ -460,7 +460,7 @@ def parts_of_single_forces(
             is_shared = common_share(noise, freedoms) > MOST_SHARED
             noise, freedoms = pooled_by_force(noise, response, freedoms, half_width, is_shared), np.ones(1)
         elements = np.arange(response[0].size).reshape(-1, n_input).T
-        covariance = BlockCovariance(elements, handed_over(noise / (power[:, :, None, None] * freedoms)))
+        covariance = BlockCovariance(elements, freeze_bases(noise / (power[:, :, None, None] * freedoms)))
     return replace(
         _parts(spectra, response, covariance, quality.multiple_coherence(response, s_yu, s_yy), s_yy, layout),
         frequency=spectra[0].frequency[chosen],
@@ -470,7 +470,7 @@ def parts_of_single_forces(
     )
 
 
-def known_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
+def tells_noise_by_force(spectra: Sequence[CrossSpectra], layout: Layout) -> bool:
     """Whether the recordings of every force, of which none has much less than another, tell its noise so well
     that weights by it make the variance of a fit no more than MOST_LOST times as large.
     """

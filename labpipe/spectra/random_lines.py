@@ -31,7 +31,7 @@ LOW_SNR = 10.0
 SILENT = 2.0
 
 
-def check_moved(
+def check_injection(
     strength: FloatArray, frequency: FloatArray, injected: Sequence[str], forces: Sequence[str]
 ) -> None:
     """DataError where what is *injected* does not move the *forces* beyond their noise; *strength*
@@ -154,7 +154,7 @@ def random_lines(
         moved = np.linalg.norm(columns[:, number], axis=1)
         error = np.sqrt(residual[:, :, number, number].real.mean(axis=1) / averages)
         strength = np.divide(moved, error, out=np.full(moved.shape, np.inf), where=moved > 0)
-        check_moved(strength, frequency, drives, [layout.channels[number].name])
+        check_injection(strength, frequency, drives, [layout.channels[number].name])
     forces, responses = (
         [channel.name for channel in layout.channels if channel.role == role] for role in ("input", "output")
     )

@@ -302,7 +302,7 @@ def without_runout(source: SampleSource, settings: FrfSettings) -> Cleaned:
         )
     given = _motion(source, lines)
     motion = (
-        _refined_between(source, given, lines, settings, n_sample)
+        _refine_given_speed(source, given, lines, settings, n_sample)
         if lines.tacho is None
         else smooth_motion(given, source.sample_rate)
     )
@@ -416,7 +416,7 @@ def _fit(
     )
 
 
-def _refined_between(
+def _refine_given_speed(
     source: SampleSource, motion: ShaftMotion, lines: ShaftLines, settings: FrfSettings, n_sample: int
 ) -> ShaftMotion:
     """A given speed made exact: 1x of the outputs keeps its phase from the first half of the periods to the

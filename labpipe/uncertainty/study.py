@@ -27,7 +27,7 @@ from labpipe.processes import pool_of
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, flag, integer, quantity, setting
+from labpipe.records.settings import Settings, flag, integer, name_list, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import list_names
 from labpipe.simulate.virtual_rigs import (
@@ -57,9 +57,7 @@ class StudySettings(Settings):
         "to the rig's noise",
         "1",
     )
-    runs: tuple[str, ...] = setting(
-        "names", "runs of the virtual rig that together give one FRF matrix", default=()
-    )
+    runs: tuple[str, ...] = name_list("runs of the virtual rig that together give one FRF matrix")
     lines: tuple[float, ...] = setting(
         "values", "numbers of lines (rigs given by their FRF); default: the rig's", "1", ()
     )
@@ -268,10 +266,10 @@ def summarise(
 def success_rate(outcomes: Sequence[Outcome], settings: FitSettings, truth: Truth, limit: float) -> float:
     """Share of all repeats that ended in a result within *limit* of the truth. Equation (comp-success)."""
     names = _names(outcomes, truth)
-    return float(np.mean([_succeeded(outcome, names, settings, truth, limit) for outcome in outcomes]))
+    return float(np.mean([_is_success(outcome, names, settings, truth, limit) for outcome in outcomes]))
 
 
-def _succeeded(
+def _is_success(
     outcome: Outcome, names: Sequence[str], settings: FitSettings, truth: Truth, limit: float
 ) -> bool:
     if not outcome.converged:
@@ -408,7 +406,7 @@ def _threshold(
             (outcomes,) = crew.outcomes(source, [fit], drawn, (settings.seed,))
             ended = zip(drawn, outcomes, strict=True)
             names = _names(outcomes, source.truth)
-            lost += [r for r, outcome in ended if not _succeeded(outcome, names, fit, source.truth, limit)]
+            lost += [r for r, outcome in ended if not _is_success(outcome, names, fit, source.truth, limit)]
             if (len(numbers) - len(lost)) / len(numbers) < settings.share:
                 break
         numbers.sort(key=lambda r: r not in lost)

@@ -221,7 +221,7 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
     from labpipe.artefacts.dataset_file import write_parts
     from labpipe.artefacts.identification_file import NAME, write_identification
     from labpipe.artefacts.writing import output_folder
-    from labpipe.project.many_tests import PART_TESTS, summed_up
+    from labpipe.project.many_tests import PART_TESTS, summarise_tests
     from labpipe.project.one_test import Job, work
     from labpipe.project.pipeline_file import load_pipeline
     from labpipe.records.dataset import sum_summaries, summary_of
@@ -251,7 +251,8 @@ def results(folder: Path, count: int) -> Iterator[tuple[str, str]]:
         for start in range(0, count, PART_TESTS):
             write_parts(made[start : start + PART_TESTS], output)
         write_identification(
-            output.write_path(NAME), summed_up(pipeline, sum_summaries(summary_of(result) for result in made))
+            output.write_path(NAME),
+            summarise_tests(pipeline, sum_summaries(summary_of(result) for result in made)),
         )
     size = sum(path.stat().st_size for path in out.rglob("*.parquet"))
     yield f"dataset of {count} results", f"{size / 1e6:.1f} MB in {len(list(out.rglob('*.parquet')))} parts"

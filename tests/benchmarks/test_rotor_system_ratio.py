@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from labpipe.methods.rotor_system.posterior import fit_system
-from labpipe.methods.rotor_system.predictions import at_speed, campbell
+from labpipe.methods.rotor_system.predictions import campbell, values_at_speed
 from tests.benchmarks.test_ratios import cpu_seconds
 from tests.methods.rotor_system.two_discs import built, drawn, four_tests
 
@@ -25,7 +25,7 @@ def test_posterior_and_campbell_in_bare_solutions(capsys) -> None:  # type: igno
     _, shaker, run, _ = tests
     still = np.zeros(shaker.omega.size)
     speeds = np.linspace(5.0, 150.0, 41)
-    values = at_speed(of.model, found.values)
+    values = values_at_speed(of.model, found.values)
     (standing,) = of.model.dynamic(values, still, shaker.omega)
     (turning,) = of.model.dynamic(values, run.speed, run.speed)
     matrices = [of.model.matrices(values, 2 * np.pi * speed) for speed in speeds]

@@ -18,7 +18,7 @@ from labpipe.errors import FitError
 from labpipe.methods.rotor.response import GROWTH_TOLERANCE
 from labpipe.methods.run_ups.joint import family_about, fit_jointly
 from labpipe.methods.run_ups.records import DIRECTIONS, TRAINED, RunUp
-from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR, FilmFamily, RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import PARAMETERS, PRIOR, FilmFamily, RunUpRotor, with_search_range
 from labpipe.methods.run_ups.section import read_run
 from labpipe.methods.run_ups.settings import ProbeUncertainties
 from labpipe.project.pipeline_file import Pipeline
@@ -158,7 +158,7 @@ def run_up_worlds(pipeline: Pipeline) -> RunUpWorlds | None:
         return None
     read = [read_run(one, settings.rig, None, pipeline.folder, USUAL) for one in settings.runs]
     trained = tuple(one.run for one in read if one.settings.role == TRAINED)
-    rig = searched_over(settings.rig, trained)
+    rig = with_search_range(settings.rig, trained)
     family = family_about(rig, [run.load for run in trained])
     ends = {one.run.name: one.run.load for one in (read[0], read[len(trained) - 1], read[-1])}
     return RunUpWorlds(rig, family, trained, tuple(ends.items()), settings.known)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from labpipe.arrays import frozen_array, handed_over
+from labpipe.arrays import freeze_bases, frozen_array
 from labpipe.errors import DataError
 
 SHAPES = st.lists(st.integers(1, 4), min_size=1, max_size=3).map(tuple)
@@ -61,7 +61,7 @@ def test_it_is_no_view_of_what_it_was_made_from() -> None:
 
 def test_what_was_handed_over_is_taken_without_a_copy_and_can_no_longer_be_written() -> None:
     buffer = np.array([[1.0, 2.0], [3.0, 4.0]])
-    array = frozen_array(handed_over(buffer.T), np.float64, "x", (2, 2))
+    array = frozen_array(freeze_bases(buffer.T), np.float64, "x", (2, 2))
     assert np.shares_memory(array, buffer)
     with pytest.raises(ValueError, match="read-only"):
         buffer[0, 0] = 7.0

@@ -18,7 +18,7 @@ from pypdf import PdfReader
 import labpipe
 from labpipe.document import html_page, pdf
 from labpipe.document.render import DOCUMENTS, RENDERERS
-from labpipe.processes import shared_out
+from labpipe.processes import use_processes
 from labpipe.records.identification import Identification, RuleOutcome
 from labpipe.report.chart import Chart, Drawing
 from labpipe.report.document import Code, Document, Figure, Paragraph, Section, Table
@@ -145,7 +145,7 @@ def test_processes_that_draw_change_no_byte(
     figures = tuple(Figure(graphic, f"Caption {n}", "") for n, graphic in enumerate(graphics))
     document = Document("Title", "Subtitle", (Section("S", figures),), ())
     here = pdf.render_pdf(document)
-    with shared_out(2):
+    with use_processes(2):
         assert pdf.render_pdf(document) == here
     names = [name for page in PdfReader(io.BytesIO(here)).pages for name in page["/Resources"]["/XObject"]]
     assert [name for name in names if "Drawing" in name] == [f"/Drawing{n}" for n in range(3)]

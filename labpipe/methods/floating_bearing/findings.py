@@ -222,7 +222,7 @@ def effective_forces(stator: Stator) -> bool:
     return any(term.channel in accelerations for number in forces for term in channels[number].terms)
 
 
-def given_notes(
+def notes_on_given(
     given: Given, uncertainties: tuple[GivenUncertainty, ...], fit: FittedStiffness
 ) -> tuple[str, ...]:
     """Which given numbers the intervals hold, and how much of the variance is theirs."""

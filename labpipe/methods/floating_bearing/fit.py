@@ -21,9 +21,9 @@ from labpipe.estimation.statistics import determination, inflation_factors
 from labpipe.methods.floating_bearing.findings import (
     BalanceError,
     effective_forces,
-    given_notes,
     motion_findings,
     noise_findings,
+    notes_on_given,
     physical_findings,
     remedy,
     shown_course,
@@ -341,7 +341,7 @@ def _fit(spectra: ChannelSpectra, settings: FitSettings, band: tuple[float, floa
         *physical_findings(parameters),
     )
     notes = (
-        *given_notes(given, solved.uncertainties, fitted),
+        *notes_on_given(given, solved.uncertainties, fitted),
         motion_note(stator),
         *_left_out(section, parameters),
         *_exact_conditions(section, spectra, parameters),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.estimation.causes import stated_findings
-from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, rounded_up
+from labpipe.estimation.diagnostics import ENOUGH_LINES, FEWEST_LINES, round_up
 from labpipe.estimation.leakage import Leakage, leakage_of
 from labpipe.estimation.settings import FitSettings, ModelKind
 from labpipe.estimation.statistics import Pulls
@@ -305,7 +305,7 @@ class SmearedBalance:
         message = (
             f"the stator's resonance at {frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
             f"{length * width:.2g} lines of blocks of {length:.3g} s: {why}; use blocks of at least "
-            f"{rounded_up(enough / width):g} s{cure}"
+            f"{round_up(enough / width):g} s{cure}"
         )
         return (Finding("leakage", message),)
 

@@ -22,7 +22,17 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    choice,
+    flag,
+    integer,
+    quantity,
+    section,
+    setting,
+    text,
+)
 from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
@@ -141,9 +151,9 @@ class FloatingRig(Settings):
     slope: float = quantity(
         "power of frequency with which the amplitude of the lines goes, -1 for 1/f", "1", 0.0
     )
-    periods: int = setting("integer", "periods recorded, all of them steady", default=8)
+    periods: int = integer("periods recorded, all of them steady", 8)
     sample_rate: float = quantity("sampling rate", "Hz", 2000.0)
-    drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
+    drives: bool = flag("the drives of the shakers, u_x and u_y, are recorded too")
     gain: float = quantity("force of a shaker over its drive", "N/V", 1000.0)
     probe_delay: float = quantity("delay of the relative probes", "s", 0.0)
     noise: FloatingNoise = section("measuring noise", FloatingNoise, FloatingNoise())

@@ -109,7 +109,7 @@ def live(
     if not goals and "live" in pipeline.sections:
         goals = pipeline.sections["live"].goals
     recording = None if source in (None, "-") else Path(source)
-    with options.asked_to_stop() as stop_requests:
+    with options.hold_signals() as stop_requests:
         if simulate is not None:
             stream: Any = _play(simulate, run_name, seed, speed, rig)
         elif recording is None:

@@ -109,7 +109,7 @@ class PeriodCutter(_Cutter):
             period, start = self._rest[: self.n_sample], self._begin
             self._rest, self._begin = self._rest[self.n_sample :], self._begin + self.n_sample
             moved = np.nan_to_num(period - np.nan_to_num(period.mean(axis=0)))
-            if self._turned(np.sum(moved[:, self._forces] ** 2, axis=0)):
+            if self._strongest_changes(np.sum(moved[:, self._forces] ** 2, axis=0)):
                 self._left = self._skip
             if self._left:
                 self._left -= 1
@@ -117,7 +117,7 @@ class PeriodCutter(_Cutter):
             self._number += 1
             yield self._turn(self._average(start, period, np.max(np.abs(moved), axis=0), moved, ""))
 
-    def _turned(self, energies: FloatArray) -> bool:
+    def _strongest_changes(self, energies: FloatArray) -> bool:
         """Whether another force than in several periods before is the strongest now, and grew to be it; by
         their *energies* (n_force,) [squared SI].
         """

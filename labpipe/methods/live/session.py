@@ -275,7 +275,7 @@ class Session:
         channels = self.rig.all_channels
         reasons = {fit.name: obstacle(fit, frf, channels, rate) for fit in fits}
         followed = [fit for fit in fits if not reasons[fit.name]]
-        wanted = self._waited_for(fits, followed, rate)
+        wanted = self._fits_with_goals(fits, followed, rate)
         # A fit that nobody waits for is left to the run at the end.
         whole = [fit for fit in fits if fit not in followed and (not followed or fit.name in wanted)]
         self.findings += [
@@ -284,11 +284,11 @@ class Session:
             if fit not in followed
         ]
         self._rate = rate
-        looked_at = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
-        self.bench = (WholeFits if whole else Bench)(channels, rate, frf, looked_at, self.goals)
+        further_files = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
+        self.bench = (WholeFits if whole else Bench)(channels, rate, frf, further_files, self.goals)
         return True
 
-    def _waited_for(
+    def _fits_with_goals(
         self, fits: Sequence[FitSettings], followed: Sequence[FitSettings], rate: float
     ) -> set[str]:
         """The fits that a goal is set for; one that names no fit is for all that have its coefficient, and,

@@ -26,7 +26,16 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import Settings, choice, integer, quantity, section, setting, settings_of, text
+from labpipe.records.settings import (
+    Settings,
+    choice,
+    integer,
+    name_list,
+    quantity,
+    section,
+    settings_of,
+    text,
+)
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -151,9 +160,7 @@ class MagneticFile(Settings):
     static_stiffness: float | None = quantity(
         "stiffness of the closed loop at rest; k_n is inferred", "N/m", None
     )
-    inferred: tuple[str, ...] = setting(
-        "names", "entries neither published nor measured; stated with the result", default=()
-    )
+    inferred: tuple[str, ...] = name_list("entries neither published nor measured; stated with the result")
 
     def __post_init__(self) -> None:
         if not self.mass > 0:

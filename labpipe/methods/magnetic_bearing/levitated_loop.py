@@ -15,7 +15,17 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    choice,
+    flag,
+    integer,
+    quantity,
+    section,
+    setting,
+    text,
+)
 from labpipe.simulate.linear import receptance
 
 KIND = "virtual-levitated-rig"
@@ -75,9 +85,7 @@ class SampledPid(Settings):
     integral: float = quantity("I, current per displacement and time", "A/(m.s)", 0.0)
     derivative_time: float = quantity("time constant T of the differentiator", "s", 2e-4)
     rate: float = quantity("sampling rate of the controller", "Hz", 10e3)
-    delay: int = setting(
-        "integer", "whole intervals from a reading to the output computed from it", default=1
-    )
+    delay: int = integer("whole intervals from a reading to the output computed from it", 1)
     mixing: tuple[tuple[float, ...], ...] | None = setting(
         "matrix", "X, from readings to axes of control (order of the axes)", "1", None
     )
@@ -95,7 +103,7 @@ class Injection(Settings):
     per_ampere: float = quantity("displacement added at the input for 1 A", "m/A", 1e-4)
     band: tuple[float, float] = setting("band", "excited frequencies", "Hz", (5.0, 500.0))
     spacing: float = quantity("spacing of the lines of a multisine", "Hz", 1.0)
-    periods: int = setting("integer", "periods of a multisine recorded, all of them steady", default=20)
+    periods: int = integer("periods of a multisine recorded, all of them steady", 20)
     duration: float = quantity("length of the other runs", "s", 20.0)
 
     def __post_init__(self) -> None:
@@ -140,10 +148,8 @@ class LevitatedRig(Settings):
     sample_rate: float = quantity(
         "sampling rate of the recording: the controller's over a whole number", "Hz", 2000.0
     )
-    force_recorded: bool = setting("flag", "the currents are recorded as the forces k_i i", default=False)
-    output_recorded: bool = setting(
-        "flag", "the controller's outputs, with what is added there, are recorded too (u_)", default=False
-    )
+    force_recorded: bool = flag("the currents are recorded as the forces k_i i")
+    output_recorded: bool = flag("the controller's outputs, with what is added there, are recorded too (u_)")
     noise: LevitatedNoise = section("noise", LevitatedNoise, LevitatedNoise())
 
     def __post_init__(self) -> None:

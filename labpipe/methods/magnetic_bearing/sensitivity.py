@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import normal_quantile, student_quantile
 from labpipe.errors import ConfigError, DataError, FitError
-from labpipe.estimation.diagnostics import ENOUGH_LINES, rounded_up
+from labpipe.estimation.diagnostics import ENOUGH_LINES, round_up
 from labpipe.estimation.measured import Measured, chosen_ports, select_ports
 from labpipe.methods.magnetic_bearing import loop_problem
 from labpipe.methods.magnetic_bearing.bearing import MagneticFile, stability_findings, verdict
@@ -206,7 +206,7 @@ def leakage_findings(measured: MeasuredSensitivity, peak: Peak) -> list[Finding]
         f"the peak of the sensitivity at {peak.frequency:.4g} Hz is {width:.2g} Hz wide (half power), "
         f"{lines:.2g} lines of blocks of {blocks.length:.3g} s: they make it lower, and margins beside it "
         f"larger, by up to {100 * lower:.2g} %, which no standard error shows; use blocks of at least "
-        f"{rounded_up(max(2 * OF_WINDOW / error**0.5, ENOUGH_LINES) / width):g} s, or periodic excitation"
+        f"{round_up(max(2 * OF_WINDOW / error**0.5, ENOUGH_LINES) / width):g} s, or periodic excitation"
     )
     return [Finding("leakage", what)]
 

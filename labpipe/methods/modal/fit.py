@@ -39,8 +39,8 @@ from labpipe.methods.modal.moved import (
     MovedReferences,
     add_moved_modes,
     align_measured,
+    align_references,
     alignment,
-    moved_references,
 )
 from labpipe.methods.modal.settings import LEAST_ORDER, ModalSettings
 from labpipe.methods.modal.whole_covariance import (
@@ -138,7 +138,7 @@ def modal_findings(
     return tuple(warnings)
 
 
-def moved_poles(named: Sequence[float], fit: Fit, modes: Modes) -> tuple[Finding, ...]:
+def moved_pole_findings(named: Sequence[float], fit: Fit, modes: Modes) -> tuple[Finding, ...]:
     """A note of poles *named* by hand [Hz] that are modes elsewhere: farther than a half-power width, the
     interval of f_n, and the share by which named frequencies differ that are two modes.
     """
@@ -282,7 +282,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         geometry=modal.structure,
     )
     if modal.poles and not modal.ratios:
-        fit = replace(fit, findings=(*fit.findings, *moved_poles(modal.poles, fit, modes)))
+        fit = replace(fit, findings=(*fit.findings, *moved_pole_findings(modal.poles, fit, modes)))
     return replace(fit, curve=_curve(response.form, form, sides, estimate, moved), details=(modes,))
 
 
@@ -304,7 +304,7 @@ def _move_to_mean_poles(
     if modal.poles:
         return sides, whole, (), ()
     names = [port.label for port in sides.measured.inputs]
-    whole, apart, said = moved_references(whole, names, lambda lines: _first_modes(lines, modal)[1])
+    whole, apart, said = align_references(whole, names, lambda lines: _first_modes(lines, modal)[1])
     whole, modes, findings = add_moved_modes(whole, moving=modal.moving_mass is not None)
     moved: Moved = (*apart, *modes)
     measured = align_measured(sides.measured, moved)

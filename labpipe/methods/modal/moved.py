@@ -216,7 +216,7 @@ class MovedReferences:
 Moved = tuple[MovedMode | MovedReferences, ...]
 
 
-def moved_references(
+def align_references(
     done: Completed, names: Sequence[str], find_modes: Callable[[FrfLines], Poles]
 ) -> tuple[Completed, tuple[MovedReferences, ...], tuple[Finding, ...]]:
     """The modes of the FRFs at the mean frequencies of their references, called *names*, how these differ,

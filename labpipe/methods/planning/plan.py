@@ -332,10 +332,10 @@ def _skip(
         return settings.skip
     timed = campaigns.with_shares(rig, design.tests, np.array(periods) / sum(periods))
     motion = campaigns.settling(rig, timed, periods)
-    return 1 if motion is None else _settled_after(motion, design.errors(sum(periods) * settings.period))
+    return 1 if motion is None else _periods_to_settle(motion, design.errors(sum(periods) * settings.period))
 
 
-def _settled_after(motion: campaigns.Settling, errors: FloatArray) -> int:
+def _periods_to_settle(motion: campaigns.Settling, errors: FloatArray) -> int:
     settled = (n for n in range(1, MOST_SKIPPED) if np.all(np.abs(motion.shifts(n)) <= SETTLED * errors))
     return next(settled, MOST_SKIPPED)
 
@@ -355,7 +355,7 @@ def settling_notes(
             f"Motion has not died away after `skip: {skip}`: what is left of it shifts "
             f"{rig.model.names[worst]} by about {100 * shifts[worst]:.2g} %, "
             f"{shifts[worst] / errors[worst]:.2g} times its standard error. "
-            f"`skip: {_settled_after(motion, errors)}` is long enough."
+            f"`skip: {_periods_to_settle(motion, errors)}` is long enough."
         )
 
 

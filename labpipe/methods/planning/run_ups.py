@@ -37,11 +37,21 @@ from labpipe.methods.run_ups.rotor import (
     FilmFamily,
     RunUpRotor,
     largest_displacement,
-    searched_over,
+    with_search_range,
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, text
+from labpipe.records.settings import (
+    Settings,
+    choice,
+    flag,
+    integer,
+    name_list,
+    quantity,
+    section,
+    setting,
+    text,
+)
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -115,7 +125,7 @@ class RunUpPlanSettings(Settings):
     earlier: str = setting(
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
     )
-    known: tuple[str, ...] = setting("names", f"what is known: of {', '.join(PARAMETERS)}", default=())
+    known: tuple[str, ...] = name_list(f"what is known: of {', '.join(PARAMETERS)}")
     at_load: float | None = quantity("load at which speeds and coefficients are predicted", "N", None)
     at_speed: float | None = quantity("speed at which coefficients are predicted", "Hz", None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
@@ -403,7 +413,7 @@ def earlier_parameters(file: PlanFile) -> dict[str, float]:
         raise SettingError("earlier", what, "run_ups: {methods: [joint]}")
     values = {parameter.name: parameter.value for parameter in methods[0].parameters}
     loads = [run.load for run in result.runs if run.role == TRAINED]
-    old = family_about(searched_over(file.settings.rig, result.runs), loads)
+    old = family_about(with_search_range(file.settings.rig, result.runs), loads)
     new = expected_rig(file.settings, {}).family
     by_speed, by_load = (values.get(name, 0.0) for name in EXPONENTS)
     moved = (new.speed / old.speed) ** by_speed * (new.load / old.load) ** by_load

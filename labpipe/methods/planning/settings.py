@@ -12,7 +12,18 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import FLOATING, axes_of_model, excitable_models, is_floating
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, Uncertainties, choice, flag, quantity, section, setting, text
+from labpipe.records.settings import (
+    Settings,
+    Uncertainties,
+    choice,
+    flag,
+    integer,
+    name_list,
+    quantity,
+    section,
+    setting,
+    text,
+)
 from labpipe.registry import Registry
 
 # What else can be planned than the excitation of a model linear in its coefficients.
@@ -161,17 +172,15 @@ class PlanSettings(SignalSettings):
         (),
     )
     floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
-    shakers: tuple[str, ...] = setting(
-        "names", "directions of force: x, y, or angles such as 45 deg; default: x and y", default=()
+    shakers: tuple[str, ...] = name_list(
+        "directions of force: x, y, or angles such as 45 deg; default: x and y"
     )
     scheme: str = choice("how two shakers run; default: what tells most", (BEST, *SCHEMES), BEST)
     speed: float | None = quantity(
         "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None
     )
-    skip: int | None = setting(
-        "integer",
-        "transient periods before the measured ones, in every test; default: until motion has died away",
-        default=None,
+    skip: int | None = integer(
+        "transient periods before the measured ones, in every test; default: until motion has died away", None
     )
     uncertainties: Uncertainties = ()
     sensors: Rig | None = None

@@ -21,7 +21,16 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
+from labpipe.records.settings import (
+    Settings,
+    StandardDeviations,
+    choice,
+    integer,
+    quantity,
+    section,
+    setting,
+    text,
+)
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -66,7 +75,7 @@ class Sampling(Settings):
     rate: float = quantity("sampling rate", "Hz", 3200.0)
     spacing: float = quantity("spacing of the multisine's lines", "Hz", 2.0)
     band: tuple[float, float] = setting("band", "frequencies excited", "Hz", (20.0, 1500.0))
-    periods: int = setting("integer", "periods recorded", default=3)
+    periods: int = integer("periods recorded", 3)
     force: float = quantity("rms force of a shaker", "N", 10.0)
 
     def __post_init__(self) -> None:
@@ -96,8 +105,8 @@ class VirtualBallBearingRig(Settings):
     damping_factor: float = quantity("beta of the bearings' damping C = beta K", "s", 2e-5)
     hysteresis: float = quantity("stiffness gained on the way down, relative", "1", 0.0)
     arm: float = quantity("distance of tilting shakers and accelerometers from the bearing", "m", 0.1)
-    mountings: int = setting("integer", "times the preload is set anew for the repeatability test", default=5)
-    repeats: int = setting("integer", "tests after each setting", default=3)
+    mountings: int = integer("times the preload is set anew for the repeatability test", 5)
+    repeats: int = integer("tests after each setting", 3)
     string_factor: float = quantity("a of the string's P = a f^2", "N/Hz^2", 0.009189)
     strip_factor: float = quantity("b of the strip's F = b S + c", "N/V", 2079.0)
     strip_offset: float = quantity("c of the strip's F = b S + c", "N", 0.0092)

@@ -12,7 +12,7 @@ from labpipe.bearings.kinds import Bearing
 from labpipe.errors import ConfigError, SettingError
 from labpipe.methods.rotor.rig import BearingPlace, RotorRig, Unbalance, UncertainBearing
 from labpipe.methods.rotor.shaft import ALUMINIUM, STEEL, Disc, Material, Rotor, ShaftElement, Sleeve
-from labpipe.project.bearing_file import kind_of, setting_at, taken_uncertainties
+from labpipe.project.bearing_file import kind_of, pop_uncertainties, setting_at
 from labpipe.project.marked_yaml import Marked, load_marked, set_entry
 from labpipe.project.settings_reader import Faults, join, read_setting, read_settings
 from labpipe.records.settings import FileKind, Setting, Settings, integer, quantity, text
@@ -348,7 +348,7 @@ def _bearing_place(entry: Marked, number: int, faults: Faults) -> BearingPlace |
             faults.add_at(entries, key, name, "follows from the rotor", "leave it out")
     # Load and speed come with every question to the bearing; until then they are any number above zero.
     owner = kind.on_rotor or kind.settings
-    uncertainties = taken_uncertainties(plain, kind, "", owner, faults)
+    uncertainties = pop_uncertainties(plain, kind, "", owner, faults)
 
     def mount() -> tuple[str, Bearing | None]:
         settings = read_settings(owner, plain, key, faults, **dict.fromkeys(kind.operating, 1.0))

@@ -39,13 +39,13 @@ GROWTH, MOST_STEPS, ON_LINE, BENT = 1.25, 30, 20, 0.3
 # Draws from which percentiles are steadier than the spread of logarithms, since peaks may split.
 ENOUGH = 100
 # Draws behind what one more run would leave, and behind the vibration over so many speeds.
-LOOKED, SPEEDS = 60, 61
+VIBRATION_DRAWS, SPEEDS = 60, 61
 # Speeds about a peak at which the vibration is drawn as well, in its half half-power widths; amplification
 # factor of a peak that has no half-power points.
 ACROSS_PEAK, FLAT = np.array([-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0]), 2.5
 
 
-def at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
+def values_at_speed(model: SystemModel, values: FloatArray) -> FloatArray:
     """Values (n_unknown,) [unit of each] as they act on the turning rotor: those of single tests are zero."""
     return np.where(model.acting(RUNNING), values, 0.0)
 
@@ -57,14 +57,14 @@ def campbell(posterior: SystemPosterior, speeds: FloatArray) -> records.Campbell
     model = posterior.model
     each, amounts = [], []
     for speed in 2 * np.pi * speeds:
-        solution = model.roots(at_speed(model, posterior.values), float(speed), 2 * MOST_MODES)
+        solution = model.roots(values_at_speed(model, posterior.values), float(speed), 2 * MOST_MODES)
         modes = _modes(model, float(speed), solution)
         slopes = np.where(model.acting(RUNNING), solution.slopes, 0.0)
         gradients = np.stack([slopes.imag / (2 * np.pi), decrement_slopes(solution.values, slopes)])
 
         def predict(values: FloatArray, modes: WhirlModes = modes) -> FloatArray:
             """f and delta of each of the *modes* (2, n_mode)."""
-            roots = model.roots(at_speed(model, values), modes.speed, 2 * MOST_MODES, slopes=False)
+            roots = model.roots(values_at_speed(model, values), modes.speed, 2 * MOST_MODES, slopes=False)
             drawn = _modes(model, modes.speed, roots)
             pairs = follow_modes([modes, drawn], [_frequency_and_decrement(of) for of in (modes, drawn)])
             shown = np.full((2, modes.eigenvalues.size), np.nan)
@@ -95,7 +95,7 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     and its derivatives (n_unknown,) [1 over the unknown's unit]; FitError where nothing oscillates.
     """
     model, spin = posterior.model, 2 * np.pi * operating
-    roots = model.roots(at_speed(model, posterior.values), spin, MOST_MODES + 1)
+    roots = model.roots(values_at_speed(model, posterior.values), spin, MOST_MODES + 1)
     size = np.abs(roots.values)
     if not size.size:
         raise FitError(f"no mode of the rotor oscillates at {60 * operating:.0f} rpm")
@@ -104,7 +104,7 @@ def least_decrement(posterior: SystemPosterior, operating: float) -> tuple[float
     highest = np.sqrt(size[-2] * size[-1]) if size.size > MOST_MODES else np.inf
 
     def least_of(values: FloatArray) -> FloatArray:
-        each = model.eigenvalues(at_speed(model, values), spin, 2 * MOST_MODES)
+        each = model.eigenvalues(values_at_speed(model, values), spin, 2 * MOST_MODES)
         return np.array(np.min(decrements(each[np.abs(each) < highest]), initial=np.inf))
 
     slopes = np.where(model.acting(RUNNING), roots.slopes, 0)
@@ -136,7 +136,7 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
         return float(np.max(eigenvalues.real, initial=-1.0)) - GROWTH_TOLERANCE
 
     def speed_of(unknowns: FloatArray, accuracy: float = 1e-3) -> float:
-        values, low = at_speed(model, unknowns), lowest
+        values, low = values_at_speed(model, unknowns), lowest
         for _ in range(MOST_STEPS):
             high = GROWTH * low
             if growth(high, values) > 0:
@@ -146,7 +146,7 @@ def onset(posterior: SystemPosterior, lowest: float) -> tuple[float, float] | No
             return low
         return float(scipy.optimize.brentq(growth, low, high, (values,), rtol=accuracy))
 
-    speed, values = speed_of(posterior.values, 1e-9), at_speed(model, posterior.values)
+    speed, values = speed_of(posterior.values, 1e-9), values_at_speed(model, posterior.values)
     if growth(lowest, values) > 0:
         return lowest, 0.0
     if speed > 0.999 * lowest * GROWTH**MOST_STEPS:
@@ -236,7 +236,7 @@ def critical_speeds(
     draws in a reduced basis; each once, where its peak is highest.
     """
     model = posterior.model
-    values = at_speed(model, posterior.values)
+    values = values_at_speed(model, posterior.values)
     forced = [dof for first, _, _ in built.planes.values() for dof in (first, first + 1)]
     reduced = _Reduced(model, values, forced, 2 * np.pi * float(np.sqrt(band[0] * band[1])))
     coarse = np.geomspace(*band, int(np.log(band[1] / band[0]) / 0.005) + 2)
@@ -308,7 +308,9 @@ def _drawn_peaks(
 
     rows: list[Critical | None] = []
     for values in draws:
-        amplitude = reduced.at(at_speed(reduced.model, values), unbalance_forces(built, values), peak.node)
+        amplitude = reduced.at(
+            values_at_speed(reduced.model, values), unbalance_forces(built, values), peak.node
+        )
         drawn = peaks(grid, amplitude(grid), peak.node, amplitude)
         near = (other for other in drawn if distance(other) < apart)
         rows.append(min(near, key=distance, default=None))
@@ -375,8 +377,8 @@ def _predict_over_speed(
     near = [c.speed * (1 + ACROSS_PEAK / (2 * (c.amplification or FLAT))) for c in criticals]
     speed = np.unique(np.clip(np.concatenate([even, *near]), even[0], even[-1]))
     wide = replace(test, speed=2 * np.pi * speed)
-    drawn = drawn_influence(built, wide, posterior.draws(LOOKED, settings.seed))
-    drawn = drawn.reshape(LOOKED, speed.size, -1, drawn.shape[-1])
+    drawn = drawn_influence(built, wide, posterior.draws(VIBRATION_DRAWS, settings.seed))
+    drawn = drawn.reshape(VIBRATION_DRAWS, speed.size, -1, drawn.shape[-1])
     before, after = (remaining_rms(drawn, acting) for acting in (np.zeros_like(weights), weights))
     low, high = np.percentile(after, (2.5, 97.5), axis=0)
     before, middle = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
@@ -389,20 +391,20 @@ def stated_influence(built: Built, posterior: SystemPosterior, test: RunUpVector
     differences of the refits over the root of their number; it is widened where intervals are.
     """
 
-    def parts(values: FloatArray) -> FloatArray:
+    def influence(values: FloatArray) -> FloatArray:
         return as_real(drawn_influence(built, test, values[None]).ravel())
 
-    middle, w = posterior.values, posterior.widened
+    middle, widening = posterior.values, posterior.widened
     if posterior.refits is None:
         axes = root_of(posterior.covariance).T
-        root = [w * (parts(middle + step) - parts(middle - step)) / 2 for step in axes]
+        root = [widening * (influence(middle + step) - influence(middle - step)) / 2 for step in axes]
     else:
-        w /= np.sqrt(len(posterior.refits))
-        root = [w * (parts(values) - parts(middle)) for values in posterior.refits]
+        widening /= np.sqrt(len(posterior.refits))
+        root = [widening * (influence(values) - influence(middle)) for values in posterior.refits]
     turned = [f"{speed * 30 / np.pi:.0f} rpm" for speed in test.speed]
     readings = tuple(f"{_place(dof)} {rpm}" for rpm in turned for dof in test.outputs)
     planes = tuple(f"node {node}" for node in built.planes)
-    return records.InfluenceResult(planes, readings, parts(middle), np.array(root).T, posterior.widened)
+    return records.InfluenceResult(planes, readings, influence(middle), np.array(root).T, posterior.widened)
 
 
 def interval_of(left: FloatArray, widened: float) -> tuple[float, float]:
@@ -439,7 +441,7 @@ def _next_weights(
     for name, weights_of_run in sets.items():
         added = tuple((built.planes[node][0], amount) for node, amount in weights_of_run.items())
         covariance = posterior.covariance_with(test.plan(test.speed, noise, added))
-        drawn = drawn_influence(built, test, normal_draws(posterior.values, covariance, LOOKED))
+        drawn = drawn_influence(built, test, normal_draws(posterior.values, covariance, VIBRATION_DRAWS))
         left = remaining_rms(drawn, best_weights(square_of(drawn)))
         by_run[name] = float(np.sqrt(np.mean(left**2)))
     return by_run

@@ -190,7 +190,7 @@ class SpeedwiseFit:
         def between(speed: FloatArray) -> FloatArray:
             return np.stack([np.interp(speed, self.speed, column) for column in self.coefficients.T], axis=-1)
 
-        return rotor.carried_beyond(between, float(self.speed[0]), float(self.speed[-1]))
+        return rotor.extend_over_speed(between, float(self.speed[0]), float(self.speed[-1]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -331,7 +331,7 @@ def fit_jointly(
     without a standard error. FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = rotor.searched_over(rig, runs)
+    rig = rotor.with_search_range(rig, runs)
     groups = tuple(misfit.runs_by_speeds(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     free = np.array([name not in known for name in rotor.PARAMETERS])

@@ -298,7 +298,7 @@ def interpolate_run(run: records.RunUp, speed: FloatArray) -> records.RunUp:
     return replace(run, speed=inside, **between)
 
 
-def added_since(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
+def weight_effect(residual: records.RunUp, run: records.RunUp) -> records.RunUp:
     """What a recorded *run* with weights adds to its *residual* run without; DataError as `difference`."""
     weightless = replace(residual, unbalance=dict.fromkeys(run.unbalance, 0j))
     return difference(run, interpolate_run(weightless, run.speed), weightless)

@@ -61,7 +61,7 @@ def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
     return replace(rig, unbalances=amounts)
 
 
-def excited_as(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
+def with_unbalance_of_runs(rig: RunUpRotor, runs: Iterable[records.RunUp]) -> RunUpRotor:
     """The rotor with its own unbalance, or that of the first of *runs* that has one."""
     stated = [run for run in runs if run.shaker is None]
     return rig if rig.unbalances or not stated else with_unbalance_of(rig, stated[0])

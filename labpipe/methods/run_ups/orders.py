@@ -17,7 +17,7 @@ from labpipe.cli.output import echo
 from labpipe.document.charts import svg_file
 from labpipe.errors import ConfigError
 from labpipe.methods.run_ups.judgement import IntervalEstimate, RunUpJudgement, judge
-from labpipe.methods.run_ups.measured import added_since, run_up_of
+from labpipe.methods.run_ups.measured import run_up_of, weight_effect
 from labpipe.methods.run_ups.records import RunUp
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.methods.run_ups.settings import MANY_PULSES, ONE_PULSE
@@ -294,7 +294,7 @@ def run_up_table(
     table = run_up_of(run.track, run.channels, run.name, load, unbalance)
     if before is None:
         return table
-    return added_since(run_up_of(before.track, before.channels, before.name, load, unbalance), table)
+    return weight_effect(run_up_of(before.track, before.channels, before.name, load, unbalance), table)
 
 
 def write_run_up(table: RunUp, path: Path) -> str:

@@ -180,7 +180,7 @@ def fit_with_process(
     file's bearing. FitError when no minimum is found.
     """
     runs = list(runs)
-    rig = rotor.searched_over(rig, runs)
+    rig = rotor.with_search_range(rig, runs)
     groups = tuple(runs_by_load(rig, runs))
     thresholds = measured_thresholds(rig, groups) if use_thresholds else ()
     measured = [places_of(group.load, group.speed) for group in groups]

@@ -20,13 +20,13 @@ from labpipe.methods.run_ups.methods import (
     AtLoad,
     Predictor,
     Solved,
-    excited_as,
     predict,
     start,
     with_unbalance_of,
+    with_unbalance_of_runs,
 )
 from labpipe.methods.run_ups.misfit import ADVICE, measured_statement, rank_statements
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, carried_beyond, searched_over
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, extend_over_speed, with_search_range
 from labpipe.methods.run_ups.settings import METHODS, RunUpSettings
 from labpipe.records.finding import Finding, Parameter, note
 from labpipe.records.identification import ListedParameter
@@ -102,7 +102,7 @@ def _prediction(
     notes = (*uncertainty, *(text for text in (remark, beyond) if text))
     eight = model.predict(run.load, run.speed)
     error = None if uncertainty else model.std_error(run.load, run.speed)
-    course = carried_beyond(partial(model.predict, run.load), *model.speeds)
+    course = extend_over_speed(partial(model.predict, run.load), *model.speeds)
     return predict(run_rig, run, AtLoad(course, eight, error, notes=notes), plane, curves=False)
 
 
@@ -115,7 +115,7 @@ def run_up_result(
     """All methods of the settings, fitted to the trained runs and compared on every run."""
     measured = [measured_run(item, settings.plane) for item in read]
     runs = [item.run for item in read]
-    rig = excited_as(searched_over(rig, runs), runs)
+    rig = with_unbalance_of_runs(with_search_range(rig, runs), runs)
     trained = [item.run for item in read if item.settings.role == records.TRAINED]
     solved = [start()]
     for name in (name for name in METHODS if name in settings.methods):

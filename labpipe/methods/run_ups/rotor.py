@@ -133,7 +133,9 @@ def as_eight(stiffness: FloatArray, damping: FloatArray) -> FloatArray:
     return np.concatenate(parts, axis=-1)
 
 
-def carried_beyond(eight: Callable[[FloatArray], FloatArray], low: float, high: float) -> CoefficientsAtSpeed:
+def extend_over_speed(
+    eight: Callable[[FloatArray], FloatArray], low: float, high: float
+) -> CoefficientsAtSpeed:
     """K and C over speed from coefficients (n_speed, 8) [N/m, N s/m] between *low* and *high* [rad/s];
     outside K and Omega C stay constant, as those of a film at one Sommerfeld number.
     """
@@ -200,8 +202,7 @@ class SpeedSearch:
 class RunUpRotor:
     """A rotor file with pins: *pins* and *planes* (name, node) are nodes of the *rotor*. *tabulated*:
     coefficients instead of the film's. *speeds*: range of the search for critical speeds [rad/s], by default
-    that of the run-ups (`searched_over`). ConfigError for a node that is none or outside the pins, or that
-    two planes share.
+    that of the run-ups. ConfigError for a node that is none or outside the pins, or that two planes share.
     """
 
     name: str
@@ -300,7 +301,7 @@ class RunUpRotor:
         """K [N/m] and C [N s/m], (n_speed, 2, 2), of the rotor file's bearing or as *tabulated*."""
         bearing, speed = self.place.bearing, np.asarray(speed, np.float64)
         if self.tabulated is not None:
-            return carried_beyond(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
+            return extend_over_speed(partial(self.tabulated.predict, load), *self.tabulated.speeds)(speed)
         if not isinstance(bearing, JournalBearing):
             points = [bearing.at(OperatingPoint((0.0, -load), omega, omega)) for omega in speed.tolist()]
             both = np.stack([[point.stiffness, point.damping] for point in points], axis=1)
@@ -347,7 +348,7 @@ class RunUpRotor:
         return threshold_speed(self.stability, coefficients, self.search.threshold)
 
 
-def searched_over(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUpRotor:
+def with_search_range(rig: RunUpRotor, runs: Iterable[RunUp | MeasuredRun]) -> RunUpRotor:
     """The rotor with the speeds of *runs* as its range of search, unless it has one."""
     if rig.speeds is not None:
         return rig

@@ -13,7 +13,7 @@ from labpipe.artefacts.recording_file import StoredRecording
 from labpipe.artefacts.writing import OutputFolder
 from labpipe.errors import DataError, locate_errors
 from labpipe.methods.run_ups import records
-from labpipe.methods.run_ups.measured import ReadRun, added_since, column, difference, run_up_of
+from labpipe.methods.run_ups.measured import ReadRun, column, difference, run_up_of, weight_effect
 from labpipe.methods.run_ups.report import cover_facts, run_up_sections
 from labpipe.methods.run_ups.result import Tell, listed_speeds_and_parameters, run_up_result
 from labpipe.methods.run_ups.rotor import RunUpRotor
@@ -86,7 +86,7 @@ def _record(settings: RunSettings, output: OutputFolder, folder: Path) -> ReadRu
     run = _track(recording, lines, settings, dict(settings.unbalance))
     if settings.subtracted is not None:
         residual = _open(settings.subtracted, f"{settings.name}-residual", settings, output, folder)
-        run = added_since(_track(residual, lines, settings, dict(settings.unbalance)), run)
+        run = weight_effect(_track(residual, lines, settings, dict(settings.unbalance)), run)
     return ReadRun(settings, _statement(settings, run), _cascades(recording, lines))
 
 

@@ -19,7 +19,17 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import Settings, choice, flag, quantity, section, setting, settings_of, text
+from labpipe.records.settings import (
+    Settings,
+    choice,
+    flag,
+    integer,
+    quantity,
+    section,
+    setting,
+    settings_of,
+    text,
+)
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -74,7 +84,7 @@ class VirtualUnbalanceRig(Settings):
     )
     held_out: float = quantity("load of the run-up that no fit sees", "N", 3.808 * POUND)
     speeds: tuple[float, float] = setting("band", "range of speeds", "Hz", (400 / 60, 3000 / 60))
-    count: int = setting("integer", "number of speeds", default=27)
+    count: int = integer("number of speeds", 27)
     second_unbalance: bool = flag("also a run-up of every load with the unbalance at the last plane alone")
     shaker: bool = flag("also a run-up of every load under a force that does not turn")
     shaker_force: float = quantity("amplitude of that force, along x at the first plane", "N", 2.0)

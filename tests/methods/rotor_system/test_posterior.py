@@ -30,7 +30,7 @@ from labpipe.methods.rotor_system.posterior import (
     refit,
 )
 from labpipe.methods.rotor_system.predictions import (
-    at_speed,
+    values_at_speed,
     campbell,
     critical_speeds,
     least_decrement,
@@ -66,7 +66,7 @@ def test_values_and_predictions_lie_in_their_intervals(fitted) -> None:
     z = (found.values - truth) / found.standard_errors
     assert np.abs(z).max() < 4 and 0.7 < np.sqrt(np.mean(z**2)) < 1.3
     diagram = campbell(found, np.array([60.0, 100.0]))
-    roots = of.model.roots(at_speed(of.model, truth), 200 * np.pi, slopes=False).values
+    roots = of.model.roots(values_at_speed(of.model, truth), 200 * np.pi, slopes=False).values
     for mode in range(4):
         near = np.abs(roots.imag / (2 * np.pi) - diagram.frequency[1, mode]).min()
         assert near < 4 * diagram.frequency_error[1, mode]
@@ -201,7 +201,7 @@ def test_critical_speed_and_amplification_of_draws(fitted) -> None:
     speed = np.linspace(20.0, 90.0, 4000)
     omega = 2 * np.pi * speed
     forces = unbalance_forces(of, truth)[:, None] * omega[:, None, None] ** 2
-    motion, _, _ = of.model.response(at_speed(of.model, truth), omega, omega, forces, [output])
+    motion, _, _ = of.model.response(values_at_speed(of.model, truth), omega, omega, forces, [output])
     true = max(peaks(speed, np.abs(motion[:, 0, 0])), key=lambda peak: peak.amplitude)
     best = min(criticals, key=lambda critical: abs(critical.speed - true.speed))
     low, high = best.speed_interval
@@ -213,7 +213,7 @@ def test_critical_speed_and_amplification_of_draws(fitted) -> None:
 def test_onset_is_where_the_growth_rate_changes_its_sign(fitted) -> None:
     of, _, found = fitted
     speed, error = onset(found, 100.0)
-    values = at_speed(of.model, found.values)
+    values = values_at_speed(of.model, found.values)
     below, above = (
         of.model.roots(values, 2 * np.pi * speed * f, slopes=False).values.real.max() for f in (0.99, 1.01)
     )
@@ -243,7 +243,7 @@ def test_the_onset_has_the_interval_of_speeds_not_of_growth(fitted, refitted) ->
     speed, error = onset(replace(wide, refits=found.values + rows) if refitted else wide, 100.0)
 
     def own(values: np.ndarray) -> float:
-        at_speeds = at_speed(of.model, values)
+        at_speeds = values_at_speed(of.model, values)
 
         def growth(log_speed: float) -> float:
             spin = 2 * np.pi * np.exp(log_speed)
@@ -292,7 +292,7 @@ def test_refits_judge_the_modes_of_the_fit_though_others_stop_oscillating(
     refitted = replace(found, refits=found.values + rows)
 
     def least_of(values: np.ndarray) -> tuple[int, float]:
-        roots = model.roots(at_speed(model, values), 2 * np.pi * 100, 12, slopes=False).values
+        roots = model.roots(values_at_speed(model, values), 2 * np.pi * 100, 12, slopes=False).values
         roots = roots[np.abs(roots) < 2 * np.pi * 800]
         return roots.size, float(np.min(-2 * np.pi * roots.real / roots.imag))
 

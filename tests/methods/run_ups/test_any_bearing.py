@@ -20,7 +20,7 @@ from labpipe.methods.rotor.shaft import NodeSupport
 from labpipe.methods.run_ups.joint import fit_jointly
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.records import RunUp
-from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, searched_over
+from labpipe.methods.run_ups.rotor import RPM, RunUpRotor, with_search_range
 from labpipe.methods.run_ups.rotor_file import load_run_up_rotor
 from labpipe.methods.wear.settings import WearSettings
 
@@ -262,9 +262,9 @@ def test_without_speeds_the_run_ups_say_where_to_look(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="speeds: are missing"):
         rig.critical_speed(rig.start(LOAD))
     run = small_run(rig, 1.0)
-    over = searched_over(rig, [run])
+    over = with_search_range(rig, [run])
     assert over.search.low == run.speed[0] and over.search.high == run.speed[-1]
-    assert over.search.highest == 2 * run.speed[-1] and searched_over(over, [run]) is over
+    assert over.search.highest == 2 * run.speed[-1] and with_search_range(over, [run]) is over
     of_file = run_up_rotor("journal-bearing", tmp_path, text)
     assert over.critical_speed(over.start(LOAD)) == pytest.approx(
         of_file.critical_speed(rig.start(LOAD)), rel=1e-4

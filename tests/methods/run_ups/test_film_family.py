@@ -14,8 +14,8 @@ from labpipe.methods.run_ups.rotor import (
     FilmFamily,
     as_eight,
     as_matrices,
-    carried_beyond,
     coefficient_errors,
+    extend_over_speed,
 )
 from tests.methods.run_ups.run_up_cases import RIG
 
@@ -100,7 +100,7 @@ def test_a_threshold_beyond_the_known_speeds_is_near_the_film_s() -> None:
         return as_eight(*film(speed))
 
     true = RIG.threshold(film)
-    found = RIG.threshold(carried_beyond(known, 50.0, 300.0))
+    found = RIG.threshold(extend_over_speed(known, 50.0, 300.0))
     assert true is not None and found is not None
     assert true > 300 and abs(found / true - 1) < 0.02
     assert RIG.threshold(lambda speed: film(np.minimum(speed, 300.0))) is None
@@ -108,7 +108,7 @@ def test_a_threshold_beyond_the_known_speeds_is_near_the_film_s() -> None:
 
 def test_within_the_known_speeds_nothing_changes_and_beyond_k_and_omega_c_are_held() -> None:
     film = RIG.start(6.0)
-    carried = carried_beyond(lambda one: as_eight(*film(one)), 50.0, 300.0)
+    carried = extend_over_speed(lambda one: as_eight(*film(one)), 50.0, 300.0)
     speed = np.array([80.0, 250.0, 25.0, 400.0])
     expected = as_eight(*film(np.clip(speed, 50, 300))) * np.where(
         np.arange(8) < 4, 1.0, [[1.0], [1.0], [2.0], [0.75]]

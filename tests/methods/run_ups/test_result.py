@@ -10,7 +10,7 @@ import pytest
 
 from labpipe.methods.run_ups.joint import JointFit, fit_jointly
 from labpipe.methods.run_ups.measured import ReadRun
-from labpipe.methods.run_ups.methods import excited_as, joint_at, joint_method, predict
+from labpipe.methods.run_ups.methods import joint_at, joint_method, predict, with_unbalance_of_runs
 from labpipe.methods.run_ups.process import fit_with_process
 from labpipe.methods.run_ups.records import HELD_OUT, MeasuredRun, RunPrediction, RunUp, RunUpMethod
 from labpipe.methods.run_ups.report import speed_blocks
@@ -106,8 +106,8 @@ def test_a_rejected_fit_with_factors_says_so_at_every_load(joint: JointFit, runs
 def test_a_rotor_file_without_unbalances_takes_those_of_the_run_ups(runs: list[RunUp]) -> None:
     """The shipped rotor's own unbalances stand in the tables: the same result either way."""
     bare = replace(RIG, unbalances=())
-    assert excited_as(bare, runs).known_unbalance == pytest.approx(RIG.known_unbalance)
-    assert excited_as(RIG, runs) is RIG and excited_as(bare, []) is bare
+    assert with_unbalance_of_runs(bare, runs).known_unbalance == pytest.approx(RIG.known_unbalance)
+    assert with_unbalance_of_runs(RIG, runs) is RIG and with_unbalance_of_runs(bare, []) is bare
     entries = tuple(RunSettings(file=f"{run.name}.csv") for run in runs)
     settings = RunUpSettings(rotor="falah.yaml", runs=entries, methods=("points",))
     read = [ReadRun(entry, run) for entry, run in zip(entries, runs, strict=True)]

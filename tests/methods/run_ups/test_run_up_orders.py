@@ -10,7 +10,7 @@ from scipy import signal
 
 from labpipe.errors import DataError
 from labpipe.methods.run_ups.joint import fit_jointly
-from labpipe.methods.run_ups.measured import added_since, difference, interpolate_run, run_up_of
+from labpipe.methods.run_ups.measured import difference, interpolate_run, run_up_of, weight_effect
 from labpipe.methods.run_ups.methods import fit_points
 from labpipe.methods.run_ups.misfit import ExcitedRun, scales, shared_noise
 from labpipe.methods.run_ups.records import RunUp, Shaker
@@ -272,7 +272,7 @@ def test_a_baseline_read_between_its_speeds_is_shared_in_parts() -> None:
     parts = []
     for speed in (102.5, 105.0):
         moved = run(np.array([speed]), phasors(5e-5, 5e-5)[:1], {"disc 1": 5e-5 + 0j})
-        net = added_since(residual, moved)
+        net = weight_effect(residual, moved)
         excited = ExcitedRun(net, RIG.condense(net.speed, {}))
         slopes = np.zeros((1, excited.n_equation, 1))
         slopes[0, 0] = net.amplitude_error[0, 0, 0]
