@@ -146,9 +146,9 @@ def read_part(part: DatasetPart, columns: Collection[str] = COLUMNS) -> pa.Table
     return table
 
 
-def read_rows(folder: Path, columns: Collection[str] = COLUMNS) -> pa.Table:
+def read_rows(folder: Path) -> pa.Table:
     """The rows of all parts in a folder, conditions that a part lacks as nulls; DataError without a part."""
-    tables = [read_part(part, columns) for part in parts(folder)]
+    tables = [read_part(part) for part in parts(folder)]
     if not tables:
         raise DataError("holds no dataset of results", folder)
     return pa.concat_tables(tables, promote_options="default")

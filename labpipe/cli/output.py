@@ -79,7 +79,7 @@ def echo_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequ
         echo("  ".join(cells).rstrip())
 
 
-def value_cells(value: float, std_error: float | None, unit: str, shown: str = "") -> tuple[str, str, str]:
+def value_cells(value: float, std_error: float | None, unit: str, shown: str) -> tuple[str, str, str]:
     """A value, its standard error and its unit: *shown*, or else the one that suits them."""
     from labpipe.display import difference_in, shown_unit, unit_label, write_values
     from labpipe.quantities import to_display

@@ -19,6 +19,7 @@ from labpipe.project import catalogue_search
 from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
+from labpipe.records.dataset import day_of
 from labpipe.records.identification import ListedParameter, listed_parameters
 from labpipe.registry import few, list_names, nearest
 from labpipe.uncertainty.weighted import trend_verdict
@@ -124,7 +125,9 @@ def trend(
         paths = [] if output is None else sorted({row.path for row in rows})
         results = {path: read_identification(here / path) for path in paths}
     all_series = catalogue_search.trends(rows, over)
-    for row in catalogue_search.undated_rows(rows) if over == DATE else ():
+    for row in rows if over == DATE else ():
+        if day_of(row.date) is not None:
+            continue
         what = f"test '{row.test}': '{shorten(row.date)}' is not a date; write it as 2026-11-03"
         echo(f"warning: {row.path}: {what}", err=True)
     selected = [row for series in all_series for row in series.rows]

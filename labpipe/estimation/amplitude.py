@@ -47,7 +47,7 @@ class _Amplitudes(SquareSum):
         return values / (self.std if self.std is not None else float(np.max(self.amplitude)))
 
 
-def amplitude_fit(measured: Measured, model: DynamicModel, weight: str = "none") -> Estimate:
+def amplitude_fit(measured: Measured, model: DynamicModel, weight: str) -> Estimate:
     """|H|^2 [(w_0^2 - w^2)^2 + (c w / m)^2] = 1 / m^2, linear in (w_0^4, c^2 / m^2 - 2 w_0^2, 1 / m^2)
     (Knaapen 1997, sec. 4.2).
 

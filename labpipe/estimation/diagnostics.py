@@ -269,7 +269,7 @@ def goodness_findings(gof: Goodness) -> list[Finding]:
     return [Finding("low-gof", f"G.o.F {value:.3g}: {share}; the rest is noise, or not this model")]
 
 
-def excess_findings(estimate: Estimate, biased: str = "") -> list[Finding]:
+def excess_findings(estimate: Estimate, biased: str) -> list[Finding]:
     """A finding where the residual exceeds the measured noise; *biased*: name of an estimator that is so."""
     reduced, p_value = estimate.gof.chi2_reduced, estimate.gof.chi2_p
     factor = excess(reduced, p_value)
@@ -299,9 +299,7 @@ def excess_text(reduced: float | None, p_value: float | None) -> str:
     )
 
 
-def parameter_findings(
-    parameters: Sequence[Parameter], *, driving: bool = True, held: bool = False
-) -> list[Finding]:
+def parameter_findings(parameters: Sequence[Parameter], *, driving: bool, held: bool) -> list[Finding]:
     """Warnings on the reported parameters: insignificant ones, and values impossible for a passive support.
 
     *driving*: False for the response at another point than the force's, whose coefficients have either sign.

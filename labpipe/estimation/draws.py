@@ -66,9 +66,7 @@ def cost_of_weights(case: Case) -> float:
     return weight_uncertainty(case.measured, case.estimate.dof).inflation / case.measured.shared_noise
 
 
-def redrawn(
-    measured: Measured, fitted: ComplexArray, rng: np.random.Generator, cost: float = 1.0
-) -> Measured:
+def redrawn(measured: Measured, fitted: ComplexArray, rng: np.random.Generator, cost: float) -> Measured:
     """*fitted* (n_line, n_output, n_input) [m/N] with circular noise of the measured covariance times *cost*
     [1]. Equation (est-bootstrap).
     """

@@ -20,7 +20,7 @@ from labpipe.records.settings import (
     choice,
     flag,
     integer,
-    name_list,
+    names,
     quantity,
     section,
     setting,
@@ -149,8 +149,8 @@ class FitSettings(Settings):
     _: KW_ONLY
     mass: Mass = setting("mass", "mass that moves with the response, or `estimate`", "kg", ESTIMATE)
     estimator: str = choice("how it is estimated", tuple(ESTIMATORS), "ml")
-    input: tuple[str, ...] = name_list("force channel(s); default: all")
-    output: tuple[str, ...] = name_list("response channel(s); default: all the model takes")
+    input: tuple[str, ...] = names("force channel(s); default: all")
+    output: tuple[str, ...] = names("response channel(s); default: all the model takes")
     band: tuple[float, float] | None = setting("band", "frequencies used; default: all", "Hz", None)
     bands: tuple[tuple[float, float], ...] = setting("bands", "several bands, one fit for each", "Hz", ())
     peaks: tuple[tuple[str, tuple[tuple[float, float], ...]], ...] = setting(
@@ -188,13 +188,13 @@ class FitSettings(Settings):
         "draws of noise and of all numbers with an uncertainty, as a check of the budget", 0
     )
     compare: bool = flag("compare the model with simpler and richer ones")
-    test: tuple[str, ...] = name_list("tests that are fitted; default: all")
+    test: tuple[str, ...] = names("tests that are fitted; default: all")
     repeats: str = choice(
         "several recordings of one test: each fitted, and their mean; or pool, one fit of all",
         ("each", "pool"),
         "each",
     )
-    repeat_groups: tuple[str, ...] = name_list(
+    repeat_groups: tuple[str, ...] = names(
         "days, mountings: the names of the recordings of each, as patterns; a group is one repeat"
     )
     name: str = ""

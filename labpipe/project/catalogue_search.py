@@ -432,8 +432,3 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Pa
     return ParameterSeries(
         fit, parameter, over, unit, np.array(places), counted, tuple(row for _, row in copies)
     )
-
-
-def undated_rows(rows: Sequence[ValueRow]) -> list[ValueRow]:
-    """The values whose date is none."""
-    return [row for row in rows if day_of(row.date) is None]

@@ -99,11 +99,6 @@ class SourceFile:
     def paths(self) -> tuple[Path, ...]:
         return (self.path, *self.joined)
 
-    @property
-    def is_whole_file(self) -> bool:
-        """Whether it is a file of its own, as it was recorded."""
-        return not self.joined and self.span.is_whole
-
     def absolute(self) -> SourceFile:
         return self.at({path: path.absolute() for path in self.paths if not is_remote(path)})
 

@@ -311,7 +311,7 @@ def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[Sourc
         job.frf is None
         or job.test.recorded
         or not job.test.recordings
-        or not all(source.is_whole_file for source in job.test.recordings)
+        or any(source.joined or not source.span.is_whole for source in job.test.recordings)
     ):
         return None
     n_remark = len(output.remarks)

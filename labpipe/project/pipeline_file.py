@@ -331,7 +331,7 @@ def load_for_files_to_come(path: Path, overrides: Iterable[str] = ()) -> tuple[P
     return replace(_load(path, overrides, imagine_tests), tests=()), per_file[0]
 
 
-def load_for_stream(path: Path, overrides: Iterable[str] = ()) -> Pipeline:
+def load_for_stream(path: Path, overrides: Iterable[str]) -> Pipeline:
     """The pipeline of a test followed while it runs: its rig is read. Errors as of `load_pipeline`."""
 
     def tests_to_come(reader: TestReader) -> tuple[Test, ...]:

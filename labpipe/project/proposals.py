@@ -51,11 +51,6 @@ class FirstLook:
     rows: FloatArray
     unused: tuple[str, ...] = ()
 
-    def move_forces_apart(self) -> FirstLook:
-        """The same, with forces that act at no point of a response: its phase denies it."""
-        apart = (replace(c, dof=c.key) if c.role == "input" else c for c in self.channels)
-        return replace(self, channels=tuple(apart))
-
     def with_one_quantity(self) -> FirstLook:
         """The same with responses of one quantity alone, the most frequent: others, which may be of the same
         points, are references. A stator that floats has both displacements and accelerations in two
@@ -510,15 +505,6 @@ class Tests:
     paths: Sequence[str]
     conditions: Mapping[str, Mapping[str, str]]
 
-    def are_columns(self, looks: Sequence[FirstLook]) -> bool:
-        """Whether the files, with their *looks*, are the columns of one FRF matrix: a force each in turn."""
-        turns = [look.driven() for look in looks]
-        return (
-            not self.conditions
-            and len(self.paths) > 1
-            and sorted(turns) == [[n] for n in looks[0].column_of("input")]
-        )
-
     def further_files(self) -> list[Path]:
         """Some of the further files where all are of one kind, else none."""
         kinds = {
@@ -526,12 +512,10 @@ class Tests:
         }
         return list(self.files[1 :: max(1, len(self.files) // LOOKED_AT)]) if len(kinds) == 1 else []
 
-    def lines(self, kind: str, in_turn: bool = False) -> list[str]:
+    def lines(self, kind: str) -> list[str]:
         """The entry `recordings`, `frfs` or `tests` by the *kind* of files: each file of a pattern is a test
-        where their names say by numbers what differed; *in_turn*: all are one response matrix.
+        where their names say by numbers what differed.
         """
-        if in_turn:
-            return [remark(f"recordings: [{', '.join(map(quote, self.paths))}]", "one force after the other")]
         if len(self.paths) == 1 and not self.conditions:
             return [f"{kind}: {self.paths[0] if self.paths[0][0] == '{' else quote(self.paths[0])}"]
         stems = [plain_stem(file) for file in self.files]

@@ -124,7 +124,9 @@ def _scaffold(files: Sequence[Path], folder: Path) -> Scaffold:
     if references:
         pipeline += BESIDE.format(", ".join(references))
     if "model: modal" in pipeline:
-        first = first.move_forces_apart()
+        # Forces act at no point of a response: its phase denies it.
+        apart = (replace(c, dof=c.key) if c.role == "input" else c for c in first.channels)
+        first = replace(first, channels=tuple(apart))
     return Scaffold(_text(_rig(first, files[0])), pipeline, tacho)
 
 
@@ -240,12 +242,16 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
             for other in others:
                 seen, _ = proposals(other, other.driven()[:1], outputs, excitation, drive)
                 peaks = widen_bands(peaks, seen)
-    in_turn = tests.are_columns([first, *others])
+    recordings = tests.lines("recordings")
+    # Recordings with one force each are the columns of one matrix.
+    in_turn = sorted(look.driven() for look in (first, *others)) == [[n] for n in inputs]
+    if in_turn and len(paths) > 1 and not tests.conditions:
+        recordings = [remark(_recordings(paths), "one force after the other")]
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",
         "rig: rig.yaml",
-        *tests.lines("recordings", in_turn),
+        *recordings,
         *(RUNNING.format(paths[0], tacho).splitlines() if tacho else []),
         *(_frf_lines(excitation, first.rate) if not decays else DECAYING),
         *([remark(f"  reference: {first.channels[drive].key}", DRIVES)] if drive is not None else []),
@@ -291,6 +297,10 @@ def _band_line(low: float, high: float, why: str, digits: int = 6) -> str:
     return remark(f"    band: {low:.{digits}g}-{high:.{digits}g} Hz", why)
 
 
+def _recordings(paths: Sequence[str]) -> str:
+    return f"recordings: [{', '.join(map(quote, paths))}]"
+
+
 def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequence[str]) -> list[str]:
     return [
         "# Displacements and accelerations side by side, as on a stator that floats around its shaft. Paths "
@@ -298,7 +308,7 @@ def _pipeline_of_stator(first: FirstLook, excitation: Excitation, paths: Sequenc
         "# For an FRF of one quantity give the others role: reference in rig.yaml, and leave `result` out.",
         "title: Dynamic stiffness of my rig",
         "rig: rig.yaml",
-        f"recordings: [{', '.join(quote(path) for path in paths)}]",
+        _recordings(paths),
         *_frf_lines(excitation, first.rate),
         "  result: spectra",
         "identify:",

@@ -107,7 +107,7 @@ def _kind(path: Path) -> _ArtefactKind | None:
     return None
 
 
-def verify_artefacts(folder: Path, base: Path | None = None) -> Iterator[Verified]:
+def verify_artefacts(folder: Path, base: Path | None) -> Iterator[Verified]:
     """Every artefact below a folder. *base*: the folder of their pipeline, by default that in or above the
     results; paths of raw files are relative to it. DataError for no folder or no artefacts.
     """

@@ -8,17 +8,7 @@ from dataclasses import dataclass
 from labpipe.errors import ConfigError, SettingError
 from labpipe.quantities import UnitError, parse_unit, unit_of
 from labpipe.records.response import FORMS
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    flag,
-    integer,
-    name_list,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, choice, flag, integer, names, quantity, section, setting, text
 
 
 @dataclass(frozen=True)
@@ -117,7 +107,7 @@ class FrfLayout(Settings):
     """An entry under ``frfs:`` that describes its file."""
 
     file: str = text("the file, or a glob of files, each of which is a response of its own")
-    each: tuple[str, ...] = name_list("files of one FRF matrix, one for each element, row or column")
+    each: tuple[str, ...] = names("files of one FRF matrix, one for each element, row or column")
     pattern: str = text("dofs in the names of the files, for example 'H_{output}_{input}'")
     columns: FrfColumns | None = section("columns of a table, by name or by number from 1", FrfColumns, None)
     variables: FrfColumns | None = section("variables of a .mat, .h5 or .npz file", FrfColumns, None)
@@ -127,15 +117,15 @@ class FrfLayout(Settings):
         section=ElementColumns,
         default=(),
     )
-    axes: tuple[str, ...] = name_list("order of the dimensions of 'matrix'; default: found by their lengths")
+    axes: tuple[str, ...] = names("order of the dimensions of 'matrix'; default: found by their lengths")
     form: str = choice(
         "what is divided by the force, or transmissibility; default: as the unit says",
         (*MECHANICAL, NAMED),
         "",
     )
     unit: str = text("unit of the numbers, for example g/N; default: SI")
-    output: tuple[str, ...] = name_list("dof of the response; of a matrix: of every row")
-    input: tuple[str, ...] = name_list("dof of the force; of a matrix: of every column")
+    output: tuple[str, ...] = names("dof of the response; of a matrix: of every row")
+    input: tuple[str, ...] = names("dof of the force; of a matrix: of every column")
     conjugate: bool = flag("the numbers are the complex conjugate of H: their phase rises through a mode")
     averages: int = integer(
         "averages behind an H1, independent but for `overlap`: with its coherence they give the noise", 0

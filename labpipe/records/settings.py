@@ -545,7 +545,7 @@ def text(help: str, default: str | None = "") -> Any:
     return setting("text", help, default=default)
 
 
-def name_list(help: str) -> Any:
+def names(help: str) -> Any:
     """A dataclass field of one name or several, none by default: a setting of the kind names."""
     return setting("names", help, default=())
 

@@ -308,6 +308,9 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     steep = [trend for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
     adjusted = [_adjust(coefficient, steep) for coefficient in series]
     differences = _find_apart(adjusted)
+    sources = tuple(
+        (name, source["path"], source["sha256"]) for name, result in results for source in result.sources
+    )
     sections = (
         Section("Verdict", (*_verdict(adjusted, trends, corrected, differences), *_left_out(copies))),
         Section("Results", (_results(results),)),
@@ -317,7 +320,7 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
             for of, apart in zip(adjusted, differences, strict=True)
         ),
         *([Section("Over frequency", tuple(overlays))] if overlays else []),
-        Section("Provenance", _provenance(results)),
+        Section("Provenance", (Table(("result", "source file", "SHA-256"), sources, "Source files"),)),
     )
     identifications = [identification for _, identification in results]
     titles = {identification.title for identification in identifications}
@@ -519,12 +522,3 @@ def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
     header = ("test", "date", *named, *last)
     caption = f"Values of {coefficient.title}; * differs from the others"
     return Table(header, tuple(rows), caption, tuple(range(2, len(header))))
-
-
-def _provenance(results: Sequence[tuple[str, Identification]]) -> tuple[Block, ...]:
-    rows = tuple(
-        (name, source["path"], source["sha256"])
-        for name, identification in results
-        for source in identification.sources
-    )
-    return (Table(("result", "source file", "SHA-256"), rows, "Source files"),)

@@ -313,8 +313,11 @@ def mean_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     what = f"{fitted.form}, root mean square over all {number} elements"
     caption = f"{fit_title(fit)}: {what}: measured, fitted, and what is left between them."
     graphic = chart.stack([over_frequency(form_axis(fitted.form), series)], 3.6)
-    matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(graphic, caption, f"Root mean square of {matrix} over frequency, with the residual")
+    return Figure(graphic, caption, _over_matrix("Root mean square", fit) + ", with the residual")
+
+
+def _over_matrix(what: str, fit: Fit) -> str:
+    return f"{what} of the FRF matrix of fit {fit_title(fit)} over frequency"
 
 
 def _mean_size(values: ComplexArray) -> FloatArray:
@@ -336,8 +339,7 @@ def worst_figure(fit: Fit, fitted: FittedCurve) -> Figure:
         f"their size (residual {100 * np.sqrt(left.flat[worst[0]]):.2g} to "
         f"{100 * np.sqrt(left.flat[worst[-1]]):.2g} %), response/force; the rest meets better."
     )
-    matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(graphic, caption, f"Amplitude of the {WORST} worst elements of {matrix} over frequency")
+    return Figure(graphic, caption, _over_matrix(f"Amplitude of the {WORST} worst elements", fit))
 
 
 def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
@@ -351,8 +353,7 @@ def matrix_figure(fit: Fit, fitted: FittedCurve) -> Figure:
     graphic = chart.Chart(panels, rows, columns, (chart.WIDTH, 0.6 + 1.4 * rows), "xy", "above")
     shaded = "" if fitted.variance is None else "; shaded: two standard deviations"
     caption = f"{fit_title(fit)}: measured (dots{shaded}) and fitted (lines) {fitted.form}, response/force."
-    matrix = f"the FRF matrix of fit {fit_title(fit)}"
-    return Figure(graphic, caption, f"Amplitude of every element of {matrix} over frequency")
+    return Figure(graphic, caption, _over_matrix("Amplitude of every element", fit))
 
 
 def _element(fitted: FittedCurve, o: int, i: int) -> chart.Panel:

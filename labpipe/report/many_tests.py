@@ -120,6 +120,10 @@ HEADER = (
     "coefficient", "unit", "tests", "median", "scatter", "median std. error", "least", "in test", "largest",
     "in test",
 )  # fmt: skip
+CAPTION = (
+    "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, which "
+    "outliers do not widen"
+)
 
 
 def many_tests_document(identification: Identification, tests: ManyTests) -> Document:
@@ -127,11 +131,12 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
     index = identification.dataset
     assert index is not None
     charted = tests.parameters[:MOST_CHARTED]
+    coefficients = Table(HEADER, tuple(map(_row, tests.parameters)), CAPTION, (2, 3, 4, 5, 6, 8))
     sections = (
         Section("Verdict", _verdict(identification, index)),
         Section("Warnings", _findings(index)),
         *_which(tests, identification.outcomes, index),
-        Section("Coefficients", (_coefficients(tests.parameters), *_left_out(tests.parameters))),
+        Section("Coefficients", (coefficients, *_left_out(tests.parameters))),
         *(Section(columns.title, _blocks(columns)) for columns in charted),
         Section("Rig", rig_blocks(identification)),
         Section("Provenance", _provenance(identification)),
@@ -209,14 +214,6 @@ def _which(tests: ManyTests, outcomes: Sequence[RuleOutcome], index: DatasetInde
             pages = Paragraph("The pages of one test: labpipe report DIR --test NAME -o FILE.")
             sections.append(Section(heading, (table, pages)))
     return tuple(sections)
-
-
-def _coefficients(parameters: Sequence[TestColumns]) -> Table:
-    caption = (
-        "Every coefficient over all tests; scatter: 1.4826 times the median distance from the median, "
-        "which outliers do not widen"
-    )
-    return Table(HEADER, tuple(_row(columns) for columns in parameters), caption, (2, 3, 4, 5, 6, 8))
 
 
 def _row(columns: TestColumns) -> tuple[str, ...]:

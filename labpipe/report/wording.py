@@ -63,12 +63,9 @@ def meaning(parameter: Parameter) -> str:
     return MEANINGS.get((parameter.name.partition("_")[0], parameter.unit), "")
 
 
-def parameter_row(parameter: Parameter, dof: int, unit: str = "") -> tuple[str, ...]:
-    """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor.
-
-    *unit*: that of a whole table; by default that which suits the value.
-    """
-    name, value, error, interval, unit, _ = parameter_cells(parameter, unit)
+def parameter_row(parameter: Parameter, dof: int) -> tuple[str, ...]:
+    """Name, value, unit, standard error, 95 % interval, t-ratio, significance, variance inflation factor."""
+    name, value, error, interval, unit, _ = parameter_cells(parameter)
     return (
         name,
         value,

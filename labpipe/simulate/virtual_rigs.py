@@ -217,7 +217,7 @@ def kind_of_responses(rig: VirtualRig, frf: FrfSettings | None) -> VirtualRigKin
 
 
 def simulated_response(
-    rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None = None, frf: FrfSettings | None = None
+    rig: VirtualRig, seeds: Sequence[int], runs: Iterable[str] | None, frf: FrfSettings | None
 ) -> FrequencyResponse | ChannelSpectra:
     """One FRF matrix of the rig, its noise from *seeds*: given directly, or measured from its *runs* as *frf*
     says; or spectra. ConfigError for a rig that has none.

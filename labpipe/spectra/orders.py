@@ -305,11 +305,9 @@ class CascadeSpectra:
     labels: tuple[str, ...]
 
 
-def cascade_spectra(
-    source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0, orders: float = 4.0
-) -> CascadeSpectra:
+def cascade_spectra(source: SampleSource, lines: ShaftLines, *, resolution: float = 1.0) -> CascadeSpectra:
     """Amplitude spectra of blocks of 1 / *resolution* [s], at most MOST_BLOCKS of them (Hann window, scaled
-    to a sine's amplitude). Frequencies up to *orders* times the highest speed. DataError when the recording
+    to a sine's amplitude). Frequencies up to four times the highest speed. DataError when the recording
     is shorter than two blocks. Equation (spec-cascade).
     """
     length = round(source.sample_rate / resolution)
@@ -328,6 +326,6 @@ def cascade_spectra(
     ends = [motion.angle(np.array([start, start + length]) / source.sample_rate) for start in starts]
     speed = np.array([float(np.diff(pair)[0]) for pair in ends]) * source.sample_rate / (2 * np.pi * length)
     frequency = np.arange(amplitude.shape[1]) * source.sample_rate / length
-    inside = frequency <= orders * speed.max()
+    inside = frequency <= 4 * speed.max()
     labels = tuple(source.channels[number].name for number in outputs)
     return CascadeSpectra(speed, frequency[inside], amplitude[:, inside], labels)

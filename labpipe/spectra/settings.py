@@ -6,17 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    flag,
-    integer,
-    name_list,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, choice, flag, integer, names, quantity, section, setting, text
 
 EXCITATIONS = ("periodic", "random", "impact", "stepped-sine", "sweep", "decay")
 # What each excitation must be given, if anything.
@@ -87,7 +77,7 @@ class ImpactSettings(Settings):
     )
     decay: float | None = quantity("time constant of the exponential window; default: none", "s", None)
     double_hit: float = quantity("a second push above this share of the peak is a double hit", "1", 0.1)
-    reject: tuple[int, ...] = name_list("numbers of hits that are left out, counted from 1")
+    reject: tuple[int, ...] = names("numbers of hits that are left out, counted from 1")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
@@ -165,7 +155,7 @@ class FrfSettings(Settings):
         RESULTS,
         "response",
     )
-    reference: tuple[str, ...] = name_list(
+    reference: tuple[str, ...] = names(
         "what is injected into a closed loop (random, periodic); with result: spectra the drives of the "
         "shakers (random)"
     )

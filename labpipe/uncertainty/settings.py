@@ -13,16 +13,7 @@ import numpy as np
 from labpipe.arrays import FloatArray, IntArray
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.comparison import Comparison
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    name_list,
-    quantity,
-    section,
-    setting,
-    settings_of,
-    text,
-)
+from labpipe.records.settings import Settings, choice, names, quantity, section, setting, settings_of, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import Registry
 
@@ -48,10 +39,10 @@ class MatrixTheorySettings(Settings):
     """A theory beside the measured points: a bearing file, or a table of another program."""
 
     bearing: str = setting("file", "bearing file, relative to this file", file_kind="bearing", default="")
-    entries: tuple[str, ...] = name_list(
+    entries: tuple[str, ...] = names(
         "entries of the bearing file that `over` sets, `none` where there is none"
     )
-    axes: tuple[str, ...] = name_list("dofs of the bearing that are x and y of the rig, e.g. [-z, y]")
+    axes: tuple[str, ...] = names("dofs of the bearing that are x and y of the rig, e.g. [-z, y]")
     table: str = setting(
         "file",
         "CSV table with a column for every condition and coefficient, e.g. 'speed [rpm]', 'k_xx [N/m]'",
@@ -99,8 +90,8 @@ class MatrixSettings(Settings):
         "names",
         "conditions: along the abscissa, the second as one line per level, more as one figure per level",
     )
-    parameters: tuple[str, ...] = name_list("coefficients; default: all that every test has")
-    beside: tuple[str, ...] = name_list("conditions shown beside, such as leakage or temperature")
+    parameters: tuple[str, ...] = names("coefficients; default: all that every test has")
+    beside: tuple[str, ...] = names("conditions shown beside, such as leakage or temperature")
     tolerance: float = quantity(
         "values of a condition closer than this share of the largest are one level", "1", 0.02
     )
@@ -112,8 +103,8 @@ class MatrixSettings(Settings):
     def __post_init__(self) -> None:
         if not self.over:
             raise ConfigError("'over' names no condition", hint="over: [speed, load]")
-        for names, what in ((self.over, "over"), (self.beside, "beside"), (self.parameters, "parameters")):
-            twice = next((name for name in names if names.count(name) > 1), None)
+        for listed, what in ((self.over, "over"), (self.beside, "beside"), (self.parameters, "parameters")):
+            twice = next((name for name in listed if listed.count(name) > 1), None)
             if twice is not None:
                 raise SettingError(what, f"'{what}' names '{twice}' twice")
         if self.path is not None and self.path.load not in self.over:
@@ -183,14 +174,14 @@ class CompareSettings(Settings):
     fit: str = text("fit whose parameter is compared")
     term: str = text("diagonal term of a fit of peaks")
     parameter: str = text("parameter that is compared", "k")
-    over: tuple[str, ...] = name_list("condition over which tests are ordered or paired, or two of them")
+    over: tuple[str, ...] = names("condition over which tests are ordered or paired, or two of them")
     tolerance: float = quantity("values closer than this share of the largest are one", "1", 1e-6)
     group: str = text("condition that makes the groups; default: each test is one")
-    groups: tuple[str, ...] = name_list("the two groups, the second against the first")
+    groups: tuple[str, ...] = names("the two groups, the second against the first")
     law: str = choice("straight line, or power law", LAWS, "line")
     setting_error: float = quantity("relative standard error of setting the condition", "1", 0.0)
     theory: TheorySettings | None = section("theory to compare with", TheorySettings, None)
-    estimate: tuple[str, ...] = name_list("unknowns of the bearing file, fitted")
+    estimate: tuple[str, ...] = names("unknowns of the bearing file, fitted")
     before: str = text("response ahead of the sum at which the excitation is added", "before")
     after: str = text("response behind that sum", "after")
     level: float = quantity("level of significance of tests", "1", 0.05)

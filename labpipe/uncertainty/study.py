@@ -27,7 +27,7 @@ from labpipe.processes import pool_of
 from labpipe.records.comparison import StudiedParameter, Study, StudyCase, StudyThreshold
 from labpipe.records.finding import Parameter
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, flag, integer, name_list, quantity, setting
+from labpipe.records.settings import Settings, flag, integer, names, quantity, setting
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.registry import list_names
 from labpipe.simulate.virtual_rigs import (
@@ -57,7 +57,7 @@ class StudySettings(Settings):
         "to the rig's noise",
         "1",
     )
-    runs: tuple[str, ...] = name_list("runs of the virtual rig that together give one FRF matrix")
+    runs: tuple[str, ...] = names("runs of the virtual rig that together give one FRF matrix")
     lines: tuple[float, ...] = setting(
         "values", "numbers of lines (rigs given by their FRF); default: the rig's", "1", ()
     )

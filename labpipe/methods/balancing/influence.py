@@ -328,7 +328,7 @@ def _made_by_planes(drawn: ComplexArray) -> ComplexArray:
     return (np.linalg.pinv(drawn[..., 1:]) @ drawn[..., :1])[..., 0]
 
 
-def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float = 0.0) -> FloatArray:
+def most_unbalance(knowledge: Influence, weights: ComplexArray, share: float) -> FloatArray:
     """Upper ends (n_plane,) [kg m] of |u + w| with *weights* w (n_plane,) [kg m] set to a *share* of
     themselves [1], by runs alone and more lines than planes: those of the 95 % profile interval of the
     unbalance u in the planes.

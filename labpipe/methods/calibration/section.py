@@ -80,7 +80,7 @@ def fit_line(
 
 
 def curvature_p(
-    x: FloatArray, y: FloatArray, residual: FloatArray, n_line: int, beside: FloatArray | None = None
+    x: FloatArray, y: FloatArray, residual: FloatArray, n_line: int, beside: FloatArray | None
 ) -> float | None:
     """p-value [1] of the *residual* of a line of *n_line* parameters through points x, y, all (n_point,),
     against that of a parabola, of a plane beside *beside* (n_point,) against a surface of the third degree

@@ -301,14 +301,14 @@ def no_longer_falls(widths: Sequence[float]) -> bool:
     return n >= 4 and widths[-1] > widths[n // 2 - 1] * 2 ** (-0.25)
 
 
-def sequence_factor(n: float, tuned: float, dof: float, alpha: float = 0.05) -> float:
-    """Half-width over standard error of an interval that holds for all numbers of averages at once, [1].
+def sequence_factor(n: float, tuned: float, dof: float) -> float:
+    """Half-width over standard error of a 95 % interval, alpha = 0.05, for all numbers of averages at once.
 
     rho = n_opt / (-W_-1(-alpha^2 / e) - 1), q = (sqrt((n + rho) / rho) / alpha)^(2 / (nu + 1)),
     factor^2 = nu (q - 1) / (1 - q rho / (n + rho)); infinite where the denominator is not positive.
     """
-    rho = tuned / (-float(scipy.special.lambertw(-(alpha**2) / math.e, -1).real) - 1)
-    q = (np.sqrt((n + rho) / rho) / alpha) ** (2 / (dof + 1))
+    rho = tuned / (-float(scipy.special.lambertw(-(0.05**2) / math.e, -1).real) - 1)
+    q = (np.sqrt((n + rho) / rho) / 0.05) ** (2 / (dof + 1))
     below = 1 - q * rho / (n + rho)
     return float(np.sqrt(dof * (q - 1) / below)) if below > 0 else np.inf
 

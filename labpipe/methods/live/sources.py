@@ -50,8 +50,6 @@ class SampleStream(Protocol):
         ...
 
 
-Open = Callable[[Path, Sequence[str]], SampleStream]
-
 SOURCES = Registry("sample source")
 
 

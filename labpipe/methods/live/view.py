@@ -30,7 +30,7 @@ from labpipe.project.work import Work
 from labpipe.quantities import to_display
 from labpipe.records.identification import Identification
 from labpipe.records.sections import PipelineSection
-from labpipe.records.settings import Settings, name_list
+from labpipe.records.settings import Settings, names
 from labpipe.report.chart import Axis, Panel, curve, level, stack
 from labpipe.report.document import Block, Document, Figure, Paragraph, Section, Table
 from labpipe.report.figures import fitted_curve_figure, response_figure
@@ -44,8 +44,8 @@ DRAWN = 4
 class LiveSettings(Settings):
     """What a test is to reach."""
 
-    until: tuple[str, ...] = name_list("goals, each on the width of an interval: k.expanded<=1%")
-    test: tuple[str, ...] = name_list("tests whose course is shown; default: all")
+    until: tuple[str, ...] = names("goals, each on the width of an interval: k.expanded<=1%")
+    test: tuple[str, ...] = names("tests whose course is shown; default: all")
 
     def __post_init__(self) -> None:
         for text in self.until:

@@ -26,16 +26,7 @@ from labpipe.methods.magnetic_bearing.stability import (
     unstable_poles,
 )
 from labpipe.records.finding import Finding
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    integer,
-    name_list,
-    quantity,
-    section,
-    settings_of,
-    text,
-)
+from labpipe.records.settings import Settings, choice, integer, names, quantity, section, settings_of, text
 from labpipe.registry import nearest
 
 MU_0 = 4e-7 * np.pi
@@ -160,7 +151,7 @@ class MagneticFile(Settings):
     static_stiffness: float | None = quantity(
         "stiffness of the closed loop at rest; k_n is inferred", "N/m", None
     )
-    inferred: tuple[str, ...] = name_list("entries neither published nor measured; stated with the result")
+    inferred: tuple[str, ...] = names("entries neither published nor measured; stated with the result")
 
     def __post_init__(self) -> None:
         if not self.mass > 0:

@@ -24,7 +24,7 @@ from labpipe.records.comparison import Comparison
 from labpipe.records.finding import WARNING, Parameter, of_level
 from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
-from labpipe.records.settings import Settings, choice, flag, name_list, quantity, text
+from labpipe.records.settings import Settings, choice, flag, names, quantity, text
 from labpipe.records.uncertain import MatrixError
 from labpipe.uncertainty.amounts import with_error
 from labpipe.uncertainty.settings import CompareSettings
@@ -38,10 +38,10 @@ LEAST_DECREMENT = 0.1
 class LoopCertificateSettings(Settings):
     """What was recorded of the loop, how it is sampled, and the limits of acceptance."""
 
-    before: tuple[str, ...] = name_list(
+    before: tuple[str, ...] = names(
         "responses ahead of the sums at which excitations are added, one per loop"
     )
-    after: tuple[str, ...] = name_list("responses behind those sums, one per loop")
+    after: tuple[str, ...] = names("responses behind those sums, one per loop")
     test: str = text("test whose loop it is, where the pipeline has several")
     output: str = text("response that is the command behind the controller, [V]")
     displacement: str = text("response that is the reading of the probe")

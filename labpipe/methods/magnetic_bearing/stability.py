@@ -48,7 +48,7 @@ class SensitivityPeak:
     zone: str
 
 
-def pade(delay: float, order: int = PADE_ORDER) -> tuple[Polynomial, Polynomial]:
+def pade(delay: float, order: int) -> tuple[Polynomial, Polynomial]:
     """Numerator and denominator of the Pade approximation [n/n] of e^{-s tau}: Q(s) = sum_k (2n-k)! n! /
     ((2n)! k! (n-k)!) (s tau)^k. Equation (mag-pade).
     """

@@ -341,7 +341,7 @@ class _State:
         return Refined(*modes, self.variance, information, converged, steps, lines.hysteretic)
 
 
-def refine_one_step(terms: ResidualTerms, refined: Refined, *, real: bool = False) -> Refined:
+def refine_one_step(terms: ResidualTerms, refined: Refined, *, real: bool) -> Refined:
     """The refined modes one step of Gauss-Newton on, for the FRFs of *terms*; *real*: as in refine."""
     state = _State.of(terms, refined, real)
     return (state.after(state.step()[0]) or state).result(True, 1)

@@ -262,10 +262,10 @@ def model_errors(
     estimate: ModalEstimate,
     parameters: Sequence[Parameter],
     misfit: bool,
-    moved: Sequence[MovedMode] = (),
+    moved: Sequence[MovedMode],
     *,
-    moving: bool = False,
-    driving: Sequence[DrivingPoint] = (),
+    moving: bool,
+    driving: Sequence[DrivingPoint],
 ) -> dict[int, ModelError]:
     """The model error of every mode by its number in ascending frequency; a mode that has none in its band is
     left out. *wide*: the same FRFs beyond the band. Without *misfit* of the whole only modes that fill the
@@ -373,7 +373,7 @@ def with_model_errors(
     errors: dict[int, ModelError],
     estimate: ModalEstimate,
     lines: FloatArray,
-    instead: Sequence[MovedMode] = (),
+    instead: Sequence[MovedMode],
 ) -> tuple[Parameter, ...]:
     """The parameters of each mode as its model error states them.
 

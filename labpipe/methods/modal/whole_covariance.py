@@ -279,7 +279,7 @@ def _pair(a: ComplexArray, b: ComplexArray, factor: ComplexArray) -> ComplexArra
 
 
 def covariance_fit(
-    measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool = False
+    measured: Measured, terms: ResidualTerms, refined: Refined, *, real: bool
 ) -> ModalEstimate:
     """The refined modes again, with the covariance of the FRF as weight where there is one and the products
     of the Jacobian, of which some lines are held at a time, do not take too long.

@@ -133,7 +133,7 @@ def is_floating(name: str) -> bool:
     return model_kind(name).of == SPECTRA
 
 
-def axes_of_model(name: str, expected: Collection[str] = (), n_shaker: int = 1) -> tuple[str, ...]:
+def axes_of_model(name: str, expected: Collection[str], n_shaker: int = 1) -> tuple[str, ...]:
     """The directions of a model: x alone, or x and y where it takes no single one, several shakers run, or
     coefficients are *expected* that one direction does not have.
     """
@@ -256,7 +256,7 @@ def sensitivities(
 
 
 def residual_whitener(
-    model: PlannedModel, noise: SensorDensities, omega: FloatArray, forces: ComplexArray | None = None
+    model: PlannedModel, noise: SensorDensities, omega: FloatArray, forces: ComplexArray | None
 ) -> ComplexArray:
     """L^-1 of the noise density Lambda = L L^H, (n_line, n_dof, n_dof) [sqrt(Hz)/N], at omega [rad/s]. Where
     one force alone is recorded, its noise is along *forces* (n_line, n_dof) [N], unless all other is zero.

@@ -41,17 +41,7 @@ from labpipe.methods.run_ups.rotor import (
 )
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
 from labpipe.project.measured import file_stem
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    flag,
-    integer,
-    name_list,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, choice, flag, integer, names, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain
 from labpipe.registry import nearest
 
@@ -125,7 +115,7 @@ class RunUpPlanSettings(Settings):
     earlier: str = setting(
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
     )
-    known: tuple[str, ...] = name_list(f"what is known: of {', '.join(PARAMETERS)}")
+    known: tuple[str, ...] = names(f"what is known: of {', '.join(PARAMETERS)}")
     at_load: float | None = quantity("load at which speeds and coefficients are predicted", "N", None)
     at_speed: float | None = quantity("speed at which coefficients are predicted", "Hz", None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
@@ -146,8 +136,8 @@ class RunUpPlanSettings(Settings):
         if not self.trials:
             hint = "{trial-1: {unbalance: {disc 1: 50 g.mm}}}"
             raise SettingError("trials", "there is no way to excite the rotor", hint)
-        for field, names in (("known", self.known), ("expected", tuple(dict(self.expected)))):
-            for name in names:
+        for field, listed in (("known", self.known), ("expected", tuple(dict(self.expected)))):
+            for name in listed:
                 if name not in PARAMETERS:
                     what = f"the film has no parameter {name}"
                     raise SettingError(field, what, nearest(name, PARAMETERS))

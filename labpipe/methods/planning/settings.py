@@ -18,7 +18,7 @@ from labpipe.records.settings import (
     choice,
     flag,
     integer,
-    name_list,
+    names,
     quantity,
     section,
     setting,
@@ -172,9 +172,7 @@ class PlanSettings(SignalSettings):
         (),
     )
     floor: float = quantity("share of the power on all lines alike, for a test of the model", "1", 0.2)
-    shakers: tuple[str, ...] = name_list(
-        "directions of force: x, y, or angles such as 45 deg; default: x and y"
-    )
+    shakers: tuple[str, ...] = names("directions of force: x, y, or angles such as 45 deg; default: x and y")
     scheme: str = choice("how two shakers run; default: what tells most", (BEST, *SCHEMES), BEST)
     speed: float | None = quantity(
         "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None

@@ -35,7 +35,7 @@ from labpipe.methods.planning.settings import (
 from labpipe.project.bearing_file import BearingFile, open_bearing
 from labpipe.project.exports import write_signal
 from labpipe.project.marked_yaml import set_entry
-from labpipe.records.settings import choice, integer, name_list, quantity, setting, settings_of
+from labpipe.records.settings import choice, integer, names, quantity, setting, settings_of
 from labpipe.registry import nearest
 
 STATES = "bearing-states"
@@ -64,7 +64,7 @@ class StatePlanSettings(SignalSettings):
         "largest displacement in x or y, 0-to-peak; default: none", "m", None
     )
     changeover: float = quantity("time between runs", "s", 0.0)
-    estimate: tuple[str, ...] = name_list(
+    estimate: tuple[str, ...] = names(
         "numbers of the bearing file that all states have in common; default: none, every state by itself"
     )
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(

@@ -229,7 +229,7 @@ def critical_speeds(
     band: tuple[float, float],
     operating: float,
     outputs: Sequence[int],
-    n_draw: int = DRAWS,
+    n_draw: int,
     seed: int = 1,
 ) -> list[records.CriticalResult]:
     """Critical speeds in a *band* [Hz] as the unbalance response at *outputs* shows them, with intervals from

@@ -11,17 +11,7 @@ from labpipe.methods.rotor_system.build import RotorSystem, SmallErrors
 from labpipe.methods.rotor_system.system_file import ESTIMATED
 from labpipe.methods.run_ups.settings import RunSettings
 from labpipe.quantities import UnitError
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    flag,
-    integer,
-    name_list,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, choice, flag, integer, names, quantity, section, setting, text
 from labpipe.records.uncertain import Uncertain, parse_uncertain
 
 MODES, RESPONSE, RUN_UP, STATIC = "modes", "response", "run-up", "static"
@@ -57,10 +47,10 @@ class SystemTest(Settings):
         "modes: a modal fit of this pipeline, of the rotor on soft strings; response: one of this FRF, whose "
         "natural frequencies are compared with those of the free rotor"
     )
-    frequencies: tuple[str, ...] = name_list(
+    frequencies: tuple[str, ...] = names(
         "in place of a fit, from the lowest: [111.3 Hz +- 0.1 Hz, 239.6 Hz +- .2 Hz]"
     )
-    damping: tuple[str, ...] = name_list("modes: their damping ratios: [1.5 % +- 5 %]")
+    damping: tuple[str, ...] = names("modes: their damping ratios: [1.5 % +- 5 %]")
     numbers: tuple[float, ...] = setting(
         "values", "modes: which bending modes these are; default: 1, 2, 3 ...", "1", ()
     )

@@ -311,7 +311,7 @@ def _leave_out(grid: metamodel_kinds.Grid, load: float, kind: str, seed: int) ->
 
 def leave_one_load_out(
     grid: metamodel_kinds.Grid,
-    kinds: Iterable[str] = tuple(METAMODELS),
+    kinds: Iterable[str],
     physical: Callable[[float], Metamodel] | None = None,
     seed: int = 0,
 ) -> dict[str, list[LeftOut]]:

@@ -66,7 +66,7 @@ def files_of(path: Path) -> tuple[Path, ...]:
     return (path, path.parent / named.rpartition("#")[0]) if isinstance(named, str) else (path,)
 
 
-def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path = Path()) -> RunUpRotor | None:
+def read_run_up_rotor(tree: Marked, stem: str, faults: Faults, folder: Path) -> RunUpRotor | None:
     """The rotor of a marked tree, files it names relative to *folder*."""
     before = len(faults)
     entries = faults.mapping(tree, "")

@@ -14,7 +14,7 @@ from labpipe.methods.run_ups.records import DIRECTIONS, HELD_OUT, TRAINED, Probe
 from labpipe.methods.run_ups.rotor import PARAMETERS, RunUpRotor
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import Settings, choice, integer, name_list, quantity, section, setting, text
+from labpipe.records.settings import Settings, choice, integer, names, quantity, section, setting, text
 from labpipe.records.uncertain import COURSES, Uncertain, Uncertainty, parse_uncertain, uncertainty_of
 from labpipe.registry import Registry, nearest
 
@@ -188,12 +188,12 @@ class RunUpSettings(Settings):
     methods: tuple[str, ...] = setting(
         "names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint")
     )
-    metamodels: tuple[str, ...] = name_list(f"of coefficients over load and speed: {', '.join(METAMODELS)}")
+    metamodels: tuple[str, ...] = names(f"of coefficients over load and speed: {', '.join(METAMODELS)}")
     metamodels_of: str = choice("the method whose coefficients they are fitted to", tuple(METHODS), "joint")
     plane: str = text("plane of the critical speeds; default: the last one")
     bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
     ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
-    known: tuple[str, ...] = name_list(f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}")
+    known: tuple[str, ...] = names(f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}")
     search: str = choice("how amplitudes are fitted", SEARCHES, "pattern")
     starts: int = integer("starts of that search at one load and speed, to show their spread", 20)
     seed: int = integer("of random starts and networks", 1)

@@ -30,12 +30,12 @@ from labpipe.methods.rotor_system.posterior import (
     refit,
 )
 from labpipe.methods.rotor_system.predictions import (
-    values_at_speed,
     campbell,
     critical_speeds,
     least_decrement,
     onset,
     unbalance_forces,
+    values_at_speed,
 )
 from labpipe.methods.run_ups.records import RunUp
 from tests.methods.rotor_system.two_discs import built, dof, drawn, four_tests, run_up, system, true_values
