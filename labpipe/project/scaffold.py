@@ -243,10 +243,11 @@ def _pipeline(first: FirstLook, tests: Tests, tacho: str | None, others: Sequenc
                 seen, _ = proposals(other, other.driven()[:1], outputs, excitation, drive)
                 peaks = widen_bands(peaks, seen)
     recordings = tests.lines("recordings")
-    # Recordings with one force each are the columns of one matrix.
-    in_turn = sorted(look.driven() for look in (first, *others)) == [[n] for n in inputs]
-    if in_turn and len(paths) > 1 and not tests.conditions:
-        recordings = [remark(_recordings(paths), "one force after the other")]
+    acting = sorted(look.driven() for look in (first, *others))
+    # No recording by itself tells its forces apart where all act with periods, or one of several.
+    partial = acting == [[n] for n in inputs] or (excitation and excitation.kind == "periodic" and inputs[1:])
+    if partial and len(acting) == len(paths) > 1 and not tests.conditions:
+        recordings = [remark(_recordings(paths), "together they tell the forces apart")]
     lines = [
         f"# Evaluation of the recording{'s' if len(paths) > 1 else ''}. Paths are relative to this file.",
         "title: Stiffness and damping of my rig",

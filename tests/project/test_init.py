@@ -735,6 +735,25 @@ def test_one_force_after_the_other_gives_one_matrix(tmp_path: Path, labpipe) -> 
     assert found == pytest.approx(stiffness.ravel().tolist(), rel=0.01)
 
 
+@pytest.mark.parametrize("same", [True, False])
+def test_two_periodic_forces_need_both_recordings_and_a_force_of_its_own_a_test(
+    tmp_path: Path, labpipe, same
+):
+    """[u, v] and [u, -v] are a matrix of forces of rank two, either alone of rank one. Files with the column
+    of one force each are of two kinds, which one rig file cannot hold: tests.
+    """
+    noise = np.random.default_rng(6)
+    periods = np.tile(noise.normal(size=(PERIOD, 2)), (REPEATS, 1))
+    files = [tmp_path / f"{name}.npz" for name in ("plus", "minus")]
+    for number, file in enumerate(files):
+        forces = dict(zip(("fx", "fy"), (periods * [1, 1 - 2 * number]).T, strict=True))
+        motion = {"x": periods[:, 0], "y": periods[:, 1] * (1 - 2 * number)}
+        np.savez(file, fs=RATE, **(forces if same else {("fx", "fy")[number]: periods[:, 0]}), **motion)
+    assert labpipe("init", tmp_path / "rig", *files).code == 0
+    text = (tmp_path / "rig/pipeline.yaml").read_text()
+    assert ('recordings: ["../plus.npz", "../minus.npz"]' in text) is same and ("tests:" in text) is not same
+
+
 def test_blocks_of_random_excitation_are_long_enough_for_the_peak(tmp_path: Path, labpipe) -> None:
     """1024 samples at 10 Hz of a mode 0.08 Hz wide: sixteenths of the record have 0.2 Hz between lines.
 
