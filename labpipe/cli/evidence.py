@@ -19,7 +19,15 @@ from labpipe.cli import options
 from labpipe.cli.many import manner
 from labpipe.cli.output import echo, message_line
 from labpipe.errors import ConfigError, DataError, LabpipeError
-from labpipe.project.archive import RESULTS, changed_since, check_output, contents, is_archive, pack, unpack
+from labpipe.project.archive import (
+    RESULTS,
+    changed_settings,
+    check_output,
+    contents,
+    is_archive,
+    pack,
+    unpack,
+)
 from labpipe.project.one_test import change_day
 from labpipe.project.pipeline_file import Pipeline, load_pipeline
 from labpipe.project.run import run
@@ -217,7 +225,7 @@ def verify(
         if pipeline_path is not None and not again and (here / NAME).is_file():
             with suppress(LabpipeError):
                 result, pipeline = read_identification(here / NAME), load_pipeline(pipeline_path)
-                if stale := changed_since(result, pipeline, folder):
+                if stale := changed_settings(result, pipeline, folder):
                     echo(message_line(f"{pipeline_path}: {stale}; `labpipe run` makes it again"))
         broken = 0 if is_remote(folder) else _verify_record(here, quiet)
     return 1 if unsigned or broken else code

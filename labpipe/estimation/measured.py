@@ -177,7 +177,7 @@ def measured_part(
     real, gains = response.line_gains is None and not np.any(correlation.imag), None
     if response.line_gains is not None:
         gains = choose(response.line_gains).reshape(numbers.size, -1, len(elements))
-    blocks = response.blocks and response.blocks.of_forces(columns)
+    blocks = response.blocks and response.blocks.select_forces(columns)
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
         omega=2 * np.pi * frequency,

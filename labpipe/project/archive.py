@@ -97,11 +97,11 @@ def _check_same(identification: Identification, pipeline: Pipeline, folder: Path
         what = f"was made by another build of labpipe ({identification.version or 'unknown'})"
         hint = "run `labpipe run` again, or make the archive with that build"
         raise DataError(what, folder / IDENTIFICATION, hint)
-    if what := changed_since(identification, pipeline, folder):
+    if what := changed_settings(identification, pipeline, folder):
         raise DataError(what, pipeline.path, "write into the file what --set said, and run it again")
 
 
-def changed_since(identification: Identification, pipeline: Pipeline, folder: Path) -> str:
+def changed_settings(identification: Identification, pipeline: Pipeline, folder: Path) -> str:
     """What a pipeline or its rig says that the result in a folder was not made with, empty for nothing."""
     stated, made = settings_entry(pipeline), dict(identification.settings)
     for entries in (stated, made):

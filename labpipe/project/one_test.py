@@ -284,7 +284,7 @@ def measure(job: Job, output: OutputFolder, tell: Tell = silent) -> tuple[Source
     """ingest and frf of the test; the references of the raw files or ready responses behind it."""
     if job.measured_before:
         return sources_before(job)
-    recorded = _measured_as_read(job, output, tell)
+    recorded = _measure_raw_files(job, output, tell)
     if recorded is None:
         stored = []
         for source, name in zip(job.test.recordings, job.names, strict=True):
@@ -306,7 +306,7 @@ def _ready_sources(job: Job) -> list[SourceRef]:
     return [source_ref(path, job.folder) for ready in job.test.frfs for path in ready.paths]
 
 
-def _measured_as_read(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
+def _measure_raw_files(job: Job, output: OutputFolder, tell: Tell) -> tuple[SourceRef, ...] | None:
     if (
         job.frf is None
         or job.test.recorded
@@ -391,7 +391,7 @@ def _check_unchanged(raw: Path, made: Path, recorded: Sequence[SourceRef], base:
         raise DataError(f"was made before '{raw.name}' was changed", made, AGAIN)
 
 
-def measured_of(job: Job, output: OutputFolder) -> list[MeasuredTest]:
+def load_measured_tests(job: Job, output: OutputFolder) -> list[MeasuredTest]:
     """What was measured of the test, and its ready responses."""
     measured = [load_measured(output.read_path(job.measured_name))] if job.test.recordings else []
     test = job.test
@@ -420,7 +420,7 @@ def fit(job: Job, output: OutputFolder) -> None:
             return
     except DamagedError as error:
         output.remarks.append(remake_line(error, path))
-    measured = measured_of(job, output)
+    measured = load_measured_tests(job, output)
     fits = [made for settings in settings_of_test for made in fits_of(measured, settings, job.pipeline_path)]
     write_fits(output.write_path(job.fits_name), fits, settings_of_test, inputs)
 

@@ -101,7 +101,7 @@ def measure_tests(
         raise DataError(f"{failed[0].message} (none of {len(failed)} tests could be evaluated)")
     sources = [source for job in finished for source in done[job.test.name].sources]
     sources.extend(source_ref(path, pipeline.folder) for path in pipeline.side_files)
-    tests = [part for job in finished for part in one_test.measured_of(job, output)]
+    tests = [part for job in finished for part in one_test.load_measured_tests(job, output)]
     inputs = tuple(reference for job in finished for reference in one_test.measured_refs(job, output))
     digests = {test: frozenset(source.sha256 for source in outcome.sources) for test, outcome in done.items()}
     fits_before = one_test.finished_fits(finished, output)

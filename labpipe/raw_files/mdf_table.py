@@ -145,7 +145,7 @@ class MdfTable:
         raise not_readable(self.path, "MDF file", reason)
 
     def _open_file(self, folder: str) -> tuple[Any, str]:
-        with _quiet(), _kept_young():
+        with _quiet(), _disable_collector():
             try:
                 return self._library.MDF(self.path, temporary_folder=folder), ""
             except Exception as error:
@@ -203,7 +203,7 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def _kept_young() -> Iterator[None]:
+def _disable_collector() -> Iterator[None]:
     """What is made within stays in the youngest generation, where a search for garbage finds it at once."""
     enabled = gc.isenabled()
     gc.disable()

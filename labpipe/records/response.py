@@ -249,7 +249,7 @@ class Blocks:
         rest = self.bursts.count(0.0) / max(len(self.bursts), 1)
         return self.window == "boxcar" and bool(np.exp(-2 * np.pi * lines * rest) < 0.01)
 
-    def of_forces(self, columns: Sequence[int]) -> Blocks:
+    def select_forces(self, columns: Sequence[int]) -> Blocks:
         """Those of the forces *columns*."""
         return replace(self, by_force=tuple(self.by_force[n] for n in columns)) if self.by_force else self
 
@@ -462,7 +462,7 @@ def shown_part(response: FrequencyResponse) -> FrequencyResponse:
         **parts,
         outputs=tuple(response.outputs[row] for row in rows),
         inputs=tuple(response.inputs[column] for column in columns),
-        blocks=response.blocks and response.blocks.of_forces(columns),
+        blocks=response.blocks and response.blocks.select_forces(columns),
         covariance=None if variance is None else BlockCovariance.from_variance(part(variance)),
         multiple_coherence=None if multiple is None else multiple[:, rows],
         errors=tuple(error.turn(part) for error in response.errors),

@@ -129,7 +129,7 @@ def sliding_units(fits: Sequence[Fit]) -> dict[str, str]:
     return {parameter.name: parameter.unit for parameter in every if meaning(parameter)}
 
 
-def of_bands(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
+def per_band(fits: Sequence[Fit], name: str) -> list[Parameter | None]:
     """The coefficient in every band; None where it was eliminated."""
     return [next((p for p in fit.parameters if p.name == name), None) for fit in fits]
 
@@ -148,7 +148,7 @@ def sliding_curve(
 ) -> chart.Series:
     """A coefficient over the centres of its bands [Hz] in the unit people read, shaded: 95 % intervals."""
     factor, nothing = scale_of(sliding_units(fits)[parameter]), (np.nan, np.nan)
-    amounts = of_bands(fits, parameter)
+    amounts = per_band(fits, parameter)
     values = factor * np.array([np.nan if amount is None else amount.value for amount in amounts])
     ends = factor * np.array([nothing if amount is None else amount.ci95 or nothing for amount in amounts])
     centres, (colour, line) = [fit.centre_hz for fit in fits], chart.look(number)

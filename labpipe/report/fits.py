@@ -203,7 +203,7 @@ def _description(fit: Fit) -> str:
 
 def _sliding(fits: list[Fit]) -> tuple[Block, ...]:
     units = {
-        name: readable_unit(unit, (p.value for p in figures.of_bands(fits, name) if p is not None))
+        name: readable_unit(unit, (p.value for p in figures.per_band(fits, name) if p is not None))
         for name, unit in figures.sliding_units(fits).items()
     }
     titles = (wording.title(name, unit) for name, unit in units.items())
@@ -229,7 +229,7 @@ def _band_row(fit: Fit, units: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _with_error(fit: Fit, name: str, unit: str) -> str:
-    (parameter,) = figures.of_bands([fit], name)
+    (parameter,) = figures.per_band([fit], name)
     if parameter is None:
         return "eliminated"
     error = None if parameter.full_error is None else difference_in(parameter.full_error, unit)

@@ -120,7 +120,7 @@ def test_every_force_has_its_own_blocks(rig: WhiteNoiseRig) -> None:
     assert uneven.blocks is not None and uneven.blocks.apart and uneven.blocks.by_force == (15, 23)
     excess = [nu / (nu - 2) for nu in (measure([run], SHORT).covariance_dof for run in (short, y))]
     assert uneven.covariance_dof / (uneven.covariance_dof - 2) == pytest.approx(np.mean(excess))
-    assert uneven.blocks.of_forces([1]).by_force == (23,)
+    assert uneven.blocks.select_forces([1]).by_force == (23,)
 
 
 def test_a_right_model_fits_few_blocks(rig: WhiteNoiseRig) -> None:

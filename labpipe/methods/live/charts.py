@@ -82,7 +82,7 @@ class ScoreSeries:
                 self.since[side] = number
             self.sums[side] = max(0.0, self.sums[side] + rise - SLACK)
 
-    def changed_since(self, limit: float) -> int | None:
+    def change_point(self, limit: float) -> int | None:
         """The average since which the series has moved, None while it has not."""
         side = int(np.argmax(self.sums))
         return self.since[side] if self.sums[side] > limit else None
@@ -185,7 +185,7 @@ class Charts:
             return AverageVerdict(jump=True)
         for series, value, score in zip(self._series, values, scores, strict=True):
             series.take(value, score, number)
-        changes = [series.changed_since(self._change_limit) for series in self._series]
+        changes = [series.change_point(self._change_limit) for series in self._series]
         self._pairs.append((float(np.log(level)) if level > 0 else 0.0, np.array(scores[1:])))
         return AverageVerdict(
             change=next((change for change in changes if change is not None), None),

@@ -99,7 +99,7 @@ def mismatch(estimate: ModalEstimate) -> float | None:
     return diagnostics.excess(estimate.chi2_reduced, estimate.chi2_p)
 
 
-def unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
+def is_unexplained(estimate: ModalEstimate, p_noise: float) -> bool:
     """Whether the residual is not noise where the noise is not known."""
     return estimate.chi2_reduced is None and p_noise < diagnostics.MISMATCH_P
 
@@ -122,7 +122,7 @@ def modal_findings(
     factor, what = mismatch(estimate), ""
     if factor is not None:
         what = diagnostics.excess_text(estimate.chi2_reduced, estimate.chi2_p)
-    elif unexplained(estimate, p_noise):
+    elif is_unexplained(estimate, p_noise):
         what = f"the residual is not noise: it is alike on neighbouring lines ({chance_text(p_noise)})"
     elif errors:
         modes = ", ".join(str(number) for number in errors)
@@ -471,7 +471,7 @@ def _report(
     left = float(np.linalg.norm(measured.matrix - estimate.fitted))
     exact = left <= NOISE_FREE * float(np.linalg.norm(measured.matrix))
     p_noise = 1.0 if exact else whole.p_noise
-    misfit = refined.converged and (mismatch(estimate) is not None or unexplained(estimate, p_noise))
+    misfit = refined.converged and (mismatch(estimate) is not None or is_unexplained(estimate, p_noise))
     errors: dict[int, ModelError] = {}
     apart = [mode for mode in moved if isinstance(mode, MovedReferences)]
     both = [mode for mode in moved if isinstance(mode, MovedMode)]

@@ -170,7 +170,7 @@ def most_probable(
 
 def _reading(test: SystemTest, work: Work) -> Reading | None:
     if test.kind == RESPONSE:
-        return measured_of(test, _response(test, work))
+        return measured_in_band(test, _response(test, work))
     if test.run is None:
         return None
     # Two tests may have recordings of one name, in folders of their own.
@@ -290,7 +290,7 @@ def free_modes_of(test: SystemTest, work: Work) -> evidence.FreeModes:
     return evidence.FreeModes(test.name, numbers, frequency, f_error / frequency, damping, d_error / damping)
 
 
-def measured_of(test: SystemTest, response: FrequencyResponse) -> Measured:
+def measured_in_band(test: SystemTest, response: FrequencyResponse) -> Measured:
     """The FRF of a test in its band."""
     if response.form not in DERIVATIVES:
         hint = "a response to a force is needed"

@@ -22,7 +22,7 @@ from labpipe.methods.rotor_system.evaluate import (
     explained_text,
     free_modes_of,
     limits_of,
-    measured_of,
+    measured_in_band,
     sensors_of,
     system_result,
 )
@@ -623,12 +623,12 @@ def test_what_a_rig_file_states_of_its_sensors_counts(tmp_path: Path, form: str)
     mass = float(model.matrices(model.means, 0.0, supported=False).mass[0::4, 0::4].sum())
     part, told = 12 / mass, 0.03**-2
     lines = 8 / (1 + 0.5 * 7 / 8)
-    _, error, n = error_by(tmp_path, test, measured_of(test, measured), "mass of disc 1")
+    _, error, n = error_by(tmp_path, test, measured_in_band(test, measured), "mass of disc 1")
     # Two parts of every line, 1e-3 each.
     assert error == pytest.approx((told + (part / 1e-3) ** 2 * lines) ** -0.5, rel=0.02)
     assert n == round(2 * lines)
     stated = replace(measured, inputs=(Port("6y", "f", "6y", None, calibrated("gain", 0.05, "force")),))
-    _, error, _ = error_by(tmp_path, test, measured_of(test, stated), "mass of disc 1")
+    _, error, _ = error_by(tmp_path, test, measured_in_band(test, stated), "mass of disc 1")
     assert error == pytest.approx((told + part**2 / (0.05**2 + 1e-6 / lines)) ** -0.5, rel=0.02)
 
 
