@@ -287,8 +287,11 @@ class Leakage:
         # Cases last, as the derivatives of a model lie in memory: one pass over all of them.
         cases = values.reshape(-1, *values.shape[-3:])
         every = np.ascontiguousarray(np.moveaxis(cases, 0, -1), np.complex128)
-        # Real weights on pairs of real and imaginary part.
-        means = (self.weights @ every.reshape(every.shape[0], -1).view(np.float64)).view(np.complex128)
+        flat, weights = every.reshape(every.shape[0], -1), self.weights
+        if np.iscomplexobj(weights.data):
+            means = weights @ flat
+        else:  # real weights on pairs of real and imaginary part
+            means = (weights @ flat.view(np.float64)).view(np.complex128)
         cases_last = means.reshape(self.numbers.size, *every.shape[1:])
         shape = *values.shape[:-3], self.numbers.size, *values.shape[-2:]
         return np.moveaxis(cases_last, -1, 0).reshape(shape)

@@ -56,9 +56,13 @@ def correlation_factors(
 ) -> tuple[ComplexArray, ComplexArray] | None:
     """R_o (n_line, n_output, n_output) and R_i (n_line, n_input, n_input) [1] whose product is the
     correlation of a *covariance* (n_line, n, n) [m^2/N^2] with the *deviations* (n_line, n_output, n_input)
-    [m/N]; None where it is none. A few lines at a time: of many FRFs the covariance is large.
+    [m/N]; None where these or it are no such product, as where each force's own recordings tell its noise. A
+    few lines at a time: of many FRFs the covariance is large.
     """
     n_line, n_output, n_input = deviations.shape
+    crossed = deviations[:, :, :1] * deviations[:, :1] / (deviations * deviations[:, :1, :1])
+    if np.max(np.abs(crossed - 1)) > ROUNDING:
+        return None
     by_axes = covariance.reshape(n_line, n_output, n_input, n_output, n_input)
     outputs = by_axes[:, :, 0, :, 0] / (deviations[:, :, None, 0] * deviations[:, None, :, 0])
     inputs = by_axes[:, 0, :, 0, :] / (deviations[:, 0, :, None] * deviations[:, 0, None, :])

@@ -246,7 +246,8 @@ class Blocks:
 
     def dies_away(self, lines: float) -> bool:
         """Whether a mode of this half-power width [lines] falls to 1 % of its power while a burst rests."""
-        rest = self.bursts.count(0.0) / max(len(self.bursts), 1)
+        power = np.cumsum(self.bursts)
+        rest = 1 - (1 + np.searchsorted(power, 0.99 * power[-1])) / power.size if self.bursts else 0.0
         return self.window == "boxcar" and bool(np.exp(-2 * np.pi * lines * rest) < 0.01)
 
     def select_forces(self, columns: Sequence[int]) -> Blocks:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
 
@@ -250,25 +249,34 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     def response_of(s: ComplexArray) -> ComplexArray:
         return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
 
-    change = change_of_random(halved, layout, chosen, response_of, n_input + 1)
-    return replace(parts, blocks=with_bursts(blocks, sources), change=change)
+    blocks = with_bursts(blocks, sources)
+    # Of the places that blocks have in a burst where they overlap, no half has its even share.
+    if not (blocks.bursts and blocks.overlap):
+        parts = replace(parts, change=change_of_random(halved, layout, chosen, response_of, n_input + 1))
+    return replace(parts, blocks=blocks)
 
 
-# Parts of a block, share of the mean power below which one rests, and blocks that are looked at first.
-PARTS, AT_REST, FIRST = 64, 0.01, 8
+# Parts of a block, share of the mean power below which one rests, share of a block that a burst leaves at
+# least, longer than a slow force is near zero; and blocks that are looked at first.
+PARTS, AT_REST, LEAST_REST, FIRST = 256, 0.01, 0.03, 8
 
 
 def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
-    """The *blocks*, with the course of forces that rest where these begin or end."""
+    """The *blocks*, with the course of forces that rest in the same part of each."""
     for most in (FIRST, None):
         force = np.sum([_force_powers(source, blocks.length, most) for source in sources], axis=0)
         rests = force < AT_REST * np.mean(force)
-        if not (rests[0] or rests[-1]):
+        acts = np.flatnonzero(~rests)
+        if np.max(np.diff(acts, append=acts[:1] + rests.size), initial=0) <= LEAST_REST * rests.size:
             return blocks
     # The mean that is taken off a block is no force. Blocks that overlap begin elsewhere in a burst.
     force[rests] = 0.0
-    starts = np.arange(0, force.size, force.size * (1 - blocks.overlap))
-    course = np.mean([np.roll(force, -round(start)) for start in starts.tolist()], axis=0)
+    step = 1 - blocks.overlap
+    starts = np.arange(0, 1, step)
+    lengths = [source.n_sample / source.sample_rate / blocks.length for source in sources]
+    number = np.concatenate([np.arange(int((length - 1) / step + 1e-9) + 1) for length in lengths])
+    share = np.bincount(number % starts.size, minlength=starts.size) / number.size
+    course = share @ [np.roll(force, -round(start * force.size)) for start in starts.tolist()]
     return replace(blocks, bursts=tuple((course / np.mean(course)).tolist()))
 
 
@@ -276,11 +284,17 @@ def _force_powers(source: SampleSource, length: float, most: int | None) -> Floa
     """Mean squares (n_part,) [N^2] of the forces, summed over the first *most* blocks."""
     n_sample, inputs = block_samples(source, length), [c.role == "input" for c in source.channels]
     edges = np.linspace(0, n_sample, min(PARTS, n_sample) + 1).astype(int)
-    power = np.zeros(edges.size - 1)
-    for block in islice(source.blocks(n_sample), most):
-        if len(block) == n_sample:
-            square = np.sum((block[:, inputs] - np.mean(block[:, inputs], axis=0)) ** 2, axis=1)
+    power, number = np.zeros(edges.size - 1), 0
+    # A file's own blocks end where its parts do.
+    rest = np.empty((0, sum(inputs)))
+    for block in source.blocks(n_sample):
+        rest = np.concatenate([rest, block[:, inputs]])
+        if len(rest) >= n_sample:
+            whole, rest, number = rest[:n_sample], rest[n_sample:], number + 1
+            square = np.sum((whole - np.mean(whole, axis=0)) ** 2, axis=1)
             power += np.add.reduceat(square, edges[:-1]) / np.diff(edges)
+            if number == most:
+                break
     return power
 
 

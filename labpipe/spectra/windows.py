@@ -143,8 +143,8 @@ def effective_averages(window: FloatArray, step: int, n_block: int) -> float:
     return float(n_block / (1 + 2 * np.sum(np.maximum(1 - k / n_block, 0) * rho)))
 
 
-# Samples of a window that show its shape, and points per line.
-SHAPE_SAMPLES, POINTS = 512, 4
+# Samples of a window that show its shape, and of one with bursts; points per line.
+SHAPE_SAMPLES, BURST_SAMPLES, POINTS = 512, 2048, 4
 # Share of the window's power outside of the lines that count, and their largest number to either side.
 OUTSIDE, MOST_LINES = 1e-6, 64
 
@@ -158,7 +158,7 @@ class LeakageKernel:
     blocks: Blocks
     offsets: FloatArray
     amplitude: FloatArray
-    weights: FloatArray
+    weights: FloatArray | ComplexArray
 
     def shifts(self) -> list[tuple[FloatArray, ComplexArray]]:
         """(weights (n_input or 1, 1) [1], phases (n_point,) [1]) of pairs of blocks that overlap: exp(j v t
@@ -192,26 +192,34 @@ def kernel_of(blocks: Blocks) -> LeakageKernel | None:
         left = 1 - np.sum(smooth**2, axis=1)
         weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
         return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
+    offsets = np.arange(-MOST_LINES * POINTS, MOST_LINES * POINTS + 1)
+    if blocks.bursts:
+        weights = _weights_of_bursts(blocks, offsets)
+        return LeakageKernel(blocks, offsets.astype(float), np.abs(weights), weights)
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
-    offsets = np.arange(-MOST_LINES * POINTS, MOST_LINES * POINTS + 1)
     amplitude = (np.exp(-2j * np.pi * np.outer(offsets, place) / (SHAPE_SAMPLES * POINTS)) @ window).real
-    weights = amplitude**2
-    if blocks.bursts:
-        force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
-        seen = np.correlate(window, window * force, "full")[window.size - 1 :]
-        seen[1:] *= 2
-        turns = np.outer(offsets, np.arange(window.size)) / (window.size * POINTS)
-        weights = np.cos(2 * np.pi * turns) @ seen
     nearest = np.argsort(np.abs(offsets), kind="stable")
-    share = np.cumsum(np.abs(weights[nearest])) / np.sum(np.abs(weights))
-    furthest = abs(offsets[nearest[np.argmax(share > 1 - OUTSIDE)]])
-    inside = np.abs(offsets) <= furthest
-    amplitude, weights = amplitude[inside], weights[inside] / np.sum(weights[inside])
-    return LeakageKernel(
-        blocks, offsets[inside].astype(float), amplitude / np.linalg.norm(amplitude), weights
-    )
+    share = np.cumsum(amplitude[nearest] ** 2) / np.sum(amplitude**2)
+    inside = np.abs(offsets) <= abs(offsets[nearest[np.argmax(share > 1 - OUTSIDE)]])
+    amplitude = amplitude[inside] / np.linalg.norm(amplitude[inside])
+    return LeakageKernel(blocks, offsets[inside].astype(float), amplitude, amplitude**2)
+
+
+def _weights_of_bursts(blocks: Blocks, offsets: IntArray) -> ComplexArray:
+    """Of the mean over *offsets* (n_point,) [1 / POINTS line], (n_point,) [1]."""
+    window = window_values(blocks.window, BURST_SAMPLES)
+    force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
+    seen = np.correlate(window, window * force, "full")[window.size - 1 :]
+    seen /= seen[0]
+    # Nothing responds before the force, so that the course at lags below 0 is free. Without a kink at 0 what
+    # lies beyond these lines alternates, and fading out towards it takes it off.
+    before = (2 - seen) * (0.5 + 0.5 * np.cos(np.pi * np.arange(seen.size) / seen.size))
+    rest = np.zeros((POINTS - 2) * seen.size + 1)
+    weights = np.fft.ifft(np.concatenate([seen, rest, before[:0:-1]]))[offsets]
+    weights *= 0.5 + 0.5 * np.cos(np.pi * np.clip(4 * np.abs(offsets) / offsets[-1] - 3, 0.0, 1.0))
+    return weights / np.sum(weights)
 
 
 # The force window falls from one to zero within this share of its length.

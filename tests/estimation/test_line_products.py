@@ -166,6 +166,23 @@ def test_a_covariance_that_is_no_product_to_ten_digits_is_taken_whole(rng: np.ra
     assert correlation_factors(product, deviations) is None
 
 
+def test_forces_whose_noise_has_levels_of_its_own_at_each_response_are_weighed_by_them(
+    rng: np.random.Generator,
+) -> None:
+    """Correlations are a product, standard deviations are none, as of hits and sweeps with one force each:
+    the weighted squares of any values are those by the inverse covariance, by numpy.
+    """
+    problem = problem_of(*CASES["two forces"], rng)
+    product = product_of(correlations(rng, 3), np.broadcast_to(np.eye(2), (40, 2, 2)))
+    levels = np.exp(rng.standard_normal((40, 6)))
+    covariance = product * levels[:, :, None] * levels[:, None]
+    weights = fit_weights(replace(problem.measured, covariance=covariance))
+    values = rng.standard_normal((40, 3, 2)) + 1j * rng.standard_normal((40, 3, 2))
+    flat = values.reshape(40, 6)
+    square = 2 * np.einsum("la,lab,lb->", flat.conj(), np.linalg.inv(covariance), flat).real
+    assert np.sum(whiten_values(weights, values) ** 2) == pytest.approx(square, rel=1e-9)
+
+
 def test_a_singular_factor_is_refused_with_its_line(rng: np.random.Generator) -> None:
     outputs, inputs = correlations(rng, 3), correlations(rng, 2)
     outputs[5] = np.ones((3, 3))
