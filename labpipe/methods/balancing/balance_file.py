@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
@@ -38,6 +40,8 @@ LISTS = ("planes", "runs")
 MOST_SHARE = 0.5
 # Chance below which the readings contradict the stated noise.
 UNLIKELY = 0.01
+# Angles [rad] from which that of another mark is sought.
+TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0)).tolist()
 # Weights by plane and readings by line of a run.
 Vectors = tuple[dict[str, complex], dict[str, complex]]
 
@@ -279,12 +283,29 @@ def _si_of(text: str) -> str:
 
 
 @dataclass(frozen=True)
+class OtherMark:
+    """How angles count: in the other sense (*mirrored*), *turned* [rad] against those of the model, of the
+    *weights* as well.
+    """
+
+    mirrored: bool
+    turned: float = 0.0
+    weights: bool = False
+
+    def of(self, run: BalanceRun) -> BalanceRun:
+        """The run with the angles of weights and model."""
+        turn = np.exp(1j * self.turned)
+        readings = turn * (run.readings.conj() if self.mirrored else run.readings)
+        return replace(run, readings=readings, weights=run.weights * (turn if self.weights else 1.0))
+
+
+@dataclass(frozen=True)
 class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
-    weights that would leave nothing, none where readings are fewer than planes. *mirrored*: since their
-    angles count in the other sense than those of the weights.
+    weights that would leave nothing, none where readings are fewer than planes. *mark*: by which
+    the readings agree where they do not as given.
     """
 
     file: BalanceFile
@@ -295,7 +316,7 @@ class Balanced:
     next_runs: dict[str, float]
     widened: float = 1.0
     intervals: tuple[WeightInterval, ...] = ()
-    mirrored: bool = False
+    mark: OtherMark | None = None
 
     @property
     def permissible(self) -> float | None:
@@ -329,15 +350,28 @@ def balance(file: BalanceFile) -> Balanced:
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
     intervals = weight_intervals(knowledge, weights)
-    mirrored = bool(unlikely) and _agree_mirrored(file)
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mirrored)
+    mark = _other_mark(file) if unlikely else None
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mark)
 
 
-def _agree_mirrored(file: BalanceFile) -> bool:
-    """Whether the readings agree with weights, and a model, where their angles count in the other sense."""
-    runs = [replace(run, readings=run.readings.conj()) for run in file.runs]
-    known = influence(runs, file.noise, file.prior)
-    return chi2_tail(known.misfit, known.dof) >= UNLIKELY
+def _other_mark(file: BalanceFile) -> OtherMark | None:
+    """How angles count where the readings agree with weights, and a model, which has a mark of its own."""
+
+    def misfit(turned: float, mark: OtherMark) -> float:
+        turned_runs = [replace(mark, turned=turned).of(run) for run in file.runs]
+        return influence(turned_runs, file.noise, file.prior).misfit
+
+    dof = influence(file.runs, file.noise, file.prior).dof
+    if chi2_tail(misfit(0.0, OtherMark(True)), dof) >= UNLIKELY:
+        return OtherMark(True)
+    for kind in itertools.product((False, True), repeat=2) if file.prior else ():
+        mark = OtherMark(kind[0], weights=kind[1])
+        start = TURNS[int(np.argmin([misfit(turned, mark) for turned in TURNS]))]
+        ends = start - TURNS[1], start + TURNS[1]
+        found = minimize_scalar(misfit, bounds=ends, args=(mark,))
+        if chi2_tail(found.fun, dof - 1) >= UNLIKELY:
+            return replace(mark, turned=float(found.x))
+    return None
 
 
 def _choose_weights(
@@ -406,6 +440,7 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "widened": result.widened,
-        "mirrored": result.mirrored,
+        "mirrored": result.mark is not None and result.mark.mirrored,
+        "turned": 0.0 if result.mark is None else result.mark.turned,
         "next_runs": dict(result.next_runs),
     }
