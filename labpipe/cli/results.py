@@ -129,10 +129,8 @@ def trend(
     selected = [row for series in all_series for row in series.rows]
     if not selected:
         raise DataError("no result matches these filters", shown_path(folder))
-    # Over conditions other than time, values are expected to differ.
-    adjusted = weighted.adjust(all_series, weighted.trends_of(all_series)) if over == DATE else ()
-    for number, series in enumerate(all_series):
-        _echo_series(series, adjusted[number] if adjusted else None)
+    for adjusted in weighted.adjust(all_series, weighted.trends_of(all_series)):
+        _echo_series(adjusted)
     for dated in dict.fromkeys(row.dated for row in selected if row.dated) if over == DATE else ():
         names = dict.fromkeys(name_of(row.path) for row in selected if row.dated == dated)
         echo(f"note: {list_names(list(names))}: without a condition `date`, dated by {dated}", err=True)
@@ -145,17 +143,15 @@ def trend(
         echo(f"written: {output}", err=True)
 
 
-def _echo_series(
-    series: catalogue_search.ParameterSeries,
-    adjusted: weighted.Adjusted[catalogue_search.ParameterSeries] | None,
-) -> None:
-    """*adjusted*: with the limits, where there are any to be held."""
+def _echo_series(adjusted: weighted.Adjusted) -> None:
+    series: catalogue_search.ParameterSeries = adjusted.series
     echo(f"{series.parameter} of {series.fit} over {series.over}")
-    outside = adjusted.limits.outside if adjusted and adjusted.limits else ()
+    # Over conditions other than time, values are expected to differ.
+    limits = adjusted.limits if series.over == DATE else None
     rows = []
     shown = _unit(series)
     for place, (x, row) in enumerate(zip(series.condition, series.rows, strict=True)):
-        mark = "out of control" if place in outside else row.warnings
+        mark = "out of control" if limits and place in limits.outside else row.warnings
         cells = value_cells(row.value, row.std_error, row.unit, shown)
         start = f"  {x:g} {unit_label(series.condition_unit)}".rstrip()
         rows.append((start, *cells, row.label, row.date, mark))
@@ -167,8 +163,8 @@ def _echo_series(
         )
         echo(f"  left out, since a recording counts once: {which}")
     echo(f"  {_slope(series)}")
-    if adjusted:
-        echo(f"  {_control(series, adjusted)}")
+    if series.over == DATE:
+        echo(f"  {_control(adjusted)}")
 
 
 def _unit(series: catalogue_search.ParameterSeries) -> str:
@@ -195,10 +191,9 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 
-def _control(
-    series: catalogue_search.ParameterSeries, adjusted: weighted.Adjusted[catalogue_search.ParameterSeries]
-) -> str:
-    if (limits := adjusted.limits) is None:
+def _control(adjusted: weighted.Adjusted) -> str:
+    series, limits = adjusted.series, adjusted.limits
+    if limits is None:
         return "fewer than three values give no control limits"
     unit = _unit(series)
     centre, *ends = (to_display(value, unit) for value in (limits.centre, limits.low, limits.high))
@@ -251,7 +246,7 @@ def compare(
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
+    level = f"level {100 * weighted.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
     alone = [*catalogue_search.lone_parameters(mine, others)]
     for which, names in zip(("first", "second"), alone, strict=True):

@@ -208,8 +208,6 @@ def value_row(row: dict[str, Any], amounts: Mapping[str, Amounts]) -> ValueRow:
 
 # Comparison of two results, parameter by parameter.
 
-LEVEL = 0.05
-
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
@@ -228,7 +226,7 @@ class Difference:
 
     @property
     def differs(self) -> bool:
-        return self.p_value is not None and self.p_value < LEVEL
+        return self.p_value is not None and self.p_value < weighted.LEVEL
 
     @property
     def is_same(self) -> bool:

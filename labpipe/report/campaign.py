@@ -24,6 +24,7 @@ from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
 from labpipe.uncertainty import weighted
 from labpipe.uncertainty.amounts import count_once, holm, sources_in_common
+from labpipe.uncertainty.weighted import Adjusted, Trend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,12 +248,12 @@ TREND_HEADER = (
 )  # fmt: skip
 MOST_NAMED, MOST_COPIES = 2, 12
 EXPLAINED = (
-    "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
-    "errors of the fits, over conditions that tests tell apart together, each slope at the others held; "
-    "where the tests scatter more than these say, the line's errors are enlarged, and of those that bend off "
-    "it a parabola is drawn (curved). Differences are of each value from the weighted mean of the others, or "
-    "from their trend over conditions where one is beyond chance. All p-values of one kind are "
-    f"corrected together after Holm: at most {100 * weighted.LEVEL:g} % chance of any false alarm among them."
+    "Every coefficient that two results share. Trends are straight lines weighted by the standard errors "
+    "of the fits, over conditions that tests tell apart, each slope at the others held; where tests scatter "
+    "more the line's errors are enlarged, and of those that bend off it a parabola is drawn (curved). "
+    "Differences are of each value from the weighted mean of the others, or from their trend. All p-values "
+    f"of one kind are corrected together after Holm: at most {100 * weighted.LEVEL:g} % chance of any false "
+    "alarm among them."
 )
 
 
@@ -289,14 +290,6 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
-Trend = weighted.Trend[CoefficientSeries]
-Adjusted = weighted.Adjusted[CoefficientSeries]
-
-
-def _name(trend: Trend) -> str:
-    return f"{trend.series.title} over {trend.condition}"
-
-
 def _outside(of: Adjusted) -> list[str]:
     return [of.series.tests[place].label for place in of.limits.outside] if of.limits else []
 
@@ -320,8 +313,9 @@ def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
 
 
 def _from_the_rest(of: Adjusted) -> Apart:
+    errors, changes, dofs = of.series.parted_errors
     try:
-        return weighted.from_the_rest(of.series.values, *of.series.parted_errors, of.columns)
+        return weighted.from_the_rest(of.series.values, errors, changes, dofs, of.columns)
     except FitError:
         unknown = np.full(of.values.size, np.nan)
         return unknown, unknown
@@ -333,7 +327,7 @@ def _verdict(
     charted = [of for of in series if of.limits is not None]
     labels = [(of.series.title + of.without, _outside(of)) for of in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
-    steep = [_name(trend) for trend in trends if trend.is_sure]
+    steep = [trend.name for trend in trends if trend.is_sure]
     n_apart = sum(int(np.sum(p < weighted.LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
@@ -350,7 +344,7 @@ def _verdict(
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
         # Conditions that are fitted together have one curvature.
         bent = {(of.series.title, of.line.curved): of for of in reversed(trends) if of.line.curved}
-        blocks += [Paragraph(f"{_name(of)}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
+        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
     if series:
         values = sum(of.values.size for of in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."

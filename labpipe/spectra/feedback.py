@@ -46,7 +46,7 @@ ENDS = 0.1
 # Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
 # times the noise's standard deviation that hits reach; times its power down to which hits excite.
 PIECE, SILENT, STRUCK, CLEAR = 64, 3.0, 10.0, 4.0
-# Noise of a force over the force, below which it is rounding: a force that was computed, and never fed back.
+# Noise of a force over the force, below which it is rounding of a computed one.
 ROUNDED = 1e-10
 # Lines to either side over which spectra are averaged, order of the filter that takes resonances out.
 HALF_WIDTH, ORDER = 12, 20

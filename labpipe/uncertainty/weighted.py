@@ -7,7 +7,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy
@@ -480,19 +480,18 @@ class SeriesOfTests:
             return None
 
 
-Of = TypeVar("Of", bound=SeriesOfTests)
-
-
 @dataclass(frozen=True)
-class Trend(Generic[Of]):
-    """The straight *line* of a series, its second parameter the slope over a condition; its p-value among all
-    trends of a report after Holm.
-    """
+class Trend:
+    """The straight *line* of a series over a condition; p-value among all trends of a report after Holm."""
 
-    series: Of
+    series: Any
     condition: str
     line: WeightedFit
     p_value: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.series.title} over {self.condition}"
 
     @property
     def is_sure(self) -> bool:
@@ -500,7 +499,7 @@ class Trend(Generic[Of]):
         return self.p_value < LEVEL
 
 
-def trends_of(series: Sequence[Of]) -> list[Trend[Of]]:
+def trends_of(series: Sequence[SeriesOfTests]) -> list[Trend]:
     """Every trend of all series over each of their conditions."""
     found = [
         (of, name, line) for of in series for name in of.amounts if (line := of.line_over(name)) is not None
@@ -510,13 +509,12 @@ def trends_of(series: Sequence[Of]) -> list[Trend[Of]]:
 
 
 @dataclass(frozen=True)
-class Adjusted(Generic[Of]):
+class Adjusted:
     """A *series* without its trends beyond chance over *conditions* other than the date: *columns* (n,
-    n_parameter) of these trends, *values* (n,) [unit of the series] as they were at the mean conditions, and
-    their limits, None of fewer than three.
+    n_parameter) of these, *values* (n,) [unit of the series] at the mean conditions; limits of three or more.
     """
 
-    series: Of
+    series: Any
     conditions: tuple[str, ...]
     columns: FloatArray
     values: FloatArray
@@ -528,19 +526,18 @@ class Adjusted(Generic[Of]):
         return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
 
 
-def adjust(series: Sequence[Of], trends: Sequence[Trend[Of]]) -> list[Adjusted[Of]]:
+def adjust(series: Sequence[SeriesOfTests], trends: Sequence[Trend]) -> list[Adjusted]:
     """All series of a report, less those *trends* that are beyond chance."""
-    each = [
-        _adjust_one(of, [trend for trend in trends if trend.series is of and trend.is_sure]) for of in series
-    ]
-    n_value = sum(of.values.size for of in each if of.values.size >= FEWEST)
-    return [
-        replace(of, limits=control_limits(of.values, n_value)) if of.values.size >= FEWEST else of
-        for of in each
-    ]
+    n_value = sum(n for of in series if (n := of.values.size) >= FEWEST)
+    each = []
+    for of in series:
+        made = _adjust_one(of, [trend for trend in trends if trend.series is of and trend.is_sure])
+        limits = control_limits(made.values, n_value) if made.values.size >= FEWEST else None
+        each.append(replace(made, limits=limits))
+    return each
 
 
-def _adjust_one(series: Of, steep: Sequence[Trend[Of]]) -> Adjusted[Of]:
+def _adjust_one(series: SeriesOfTests, steep: Sequence[Trend]) -> Adjusted:
     """Of curved values with squares and products of the conditions, as far as these are determined."""
     values, trends = series.values, [of for of in steep if of.condition != DATE]
     if not trends:

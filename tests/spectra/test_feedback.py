@@ -364,7 +364,7 @@ def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(
 
 def test_rounding_of_a_force_that_repeats_to_the_last_digit_is_no_feedback(rng: np.random.Generator) -> None:
     """Forces of 1 N whose noise is that of the response times 1e-9 and -j beside noise of its own, as a
-    controller feeds it back, and times 1e-13, which double precision leaves of a computed force beside a tone.
+    controller feeds it back, and times 1e-13, which double precision leaves of a computed force.
     """
     tone = rng.standard_normal((20, 8)) + 1j * rng.standard_normal((20, 8))
     found = []

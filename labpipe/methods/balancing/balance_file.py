@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brute
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
@@ -40,8 +40,6 @@ LISTS = ("planes", "runs")
 MOST_SHARE = 0.5
 # Chance below which the readings contradict the stated noise.
 UNLIKELY = 0.01
-# Angles [rad] from which that of another mark is sought.
-TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0)).tolist()
 # Weights by plane and readings by line of a run.
 Vectors = tuple[dict[str, complex], dict[str, complex]]
 
@@ -293,7 +291,7 @@ class OtherMark:
     weights: bool = False
 
     def of(self, run: BalanceRun) -> BalanceRun:
-        """The run with the angles of weights and model."""
+        """The run by the mark of weights and model."""
         turn = np.exp(1j * self.turned)
         readings = turn * (run.readings.conj() if self.mirrored else run.readings)
         return replace(run, readings=readings, weights=run.weights * (turn if self.weights else 1.0))
@@ -357,20 +355,18 @@ def balance(file: BalanceFile) -> Balanced:
 def _other_mark(file: BalanceFile) -> OtherMark | None:
     """How angles count where the readings agree with weights, and a model, which has a mark of its own."""
 
-    def misfit(turned: float, mark: OtherMark) -> float:
-        turned_runs = [replace(mark, turned=turned).of(run) for run in file.runs]
-        return influence(turned_runs, file.noise, file.prior).misfit
+    def misfit(turned: FloatArray, mark: OtherMark) -> float:
+        runs = [replace(mark, turned=turned.item()).of(run) for run in file.runs]
+        return influence(runs, file.noise, file.prior).misfit
 
     dof = influence(file.runs, file.noise, file.prior).dof
-    if chi2_tail(misfit(0.0, OtherMark(True)), dof) >= UNLIKELY:
+    if chi2_tail(misfit(np.zeros(1), OtherMark(True)), dof) >= UNLIKELY:
         return OtherMark(True)
-    for kind in itertools.product((False, True), repeat=2) if file.prior else ():
-        mark = OtherMark(kind[0], weights=kind[1])
-        start = TURNS[int(np.argmin([misfit(turned, mark) for turned in TURNS]))]
-        ends = start - TURNS[1], start + TURNS[1]
-        found = minimize_scalar(misfit, bounds=ends, args=(mark,))
-        if chi2_tail(found.fun, dof - 1) >= UNLIKELY:
-            return replace(mark, turned=float(found.x))
+    for mirrored, weights in itertools.product((False, True), repeat=2) if file.prior else ():
+        mark = OtherMark(mirrored, weights=weights)
+        angle, least, *_ = brute(misfit, ((0, 2 * np.pi),), (mark,), Ns=37, full_output=True)
+        if chi2_tail(float(least), dof - 1) >= UNLIKELY:
+            return replace(mark, turned=float(np.mod(angle[0], 2 * np.pi)))
     return None
 
 

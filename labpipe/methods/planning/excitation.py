@@ -292,10 +292,8 @@ def _read_expected(file: PlanFile) -> Expected:
         what = f"{path.name} holds {len(fits)} fits named '{fits[0].name}', of tests or bands"
         raise SettingError("fit", what, "the result of one test in one band")
     if totals := [p.name for p in fits[0].parameters if p.name.endswith("_total")]:
-        what = f"the fit '{fits[0].name}' is of one bearing, without the support; a plan takes all that moves"
-        raise SettingError(
-            "earlier", what, f"in place of it, `expected` with the values of {', '.join(totals)}"
-        )
+        what = f"the fit '{fits[0].name}' is of one bearing, without the support, and no plan is"
+        raise SettingError("earlier", what, f"`expected` with the values of {', '.join(totals)}")
     coefficients = {p.name: p.value for p in fits[0].parameters if _is_coefficient(p)}
     return Expected(theory | coefficients | typed, earlier_uncertainties(fits[0], typed))
 

@@ -137,8 +137,7 @@ def _polar(
             series.append(chart.curve(f"{run.name} computed", path.real, path.imag, colour, width=0.9))
     run, value = result.runs[0], UM * phasor(result.runs[0].motions[number])
     places = orbit_places(run)
-    outwards = value[places] - np.mean(value)
-    at = value[places] + 0.12 * np.ptp(np.abs(value)) * outwards / np.abs(outwards)
+    at = 1.12 * value[places]
     speeds = [f"{RPM * run.speed[place]:.0f}" for place in places]
     series.append(chart.labels(at.real, at.imag, speeds, size=6.0))
     x, y = chart.Axis("real part", "um"), chart.Axis("imaginary part", "um")
