@@ -111,9 +111,8 @@ def trend(
     """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control
     limits.
 
-    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors. Trends beyond chance over
-    other conditions are taken off before values are held against control limits, beyond which one value or
-    more lies in 5 % of sound campaigns.
+    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors. Control limits are of
+    values without their trends over other conditions; 5 % of sound campaigns have one beyond.
     """
     if output is not None:
         format_of(output)

@@ -398,5 +398,4 @@ def _series(fit: str, parameter: str, over: str, rows: Sequence[ValueRow]) -> Pa
 
 
 def undated_rows(rows: Sequence[ValueRow]) -> list[ValueRow]:
-    """The values whose date is none."""
     return [row for row in rows if day_of(row.date) is None]

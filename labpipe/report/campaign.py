@@ -52,22 +52,18 @@ class CoefficientSeries(weighted.SeriesOfTests):
 
     @property
     def title(self) -> str:
-        """The parameter and its fit."""
         return f"{self.name} of {self.fit}"
 
     @property
     def unit(self) -> str:
-        """The unit that all values are shown in."""
         return display_unit(self.tests[0].parameter.unit)
 
     @property
     def axis(self) -> Axis:
-        """The ordinate of its figures."""
         return Axis(self.name, unit_text(self.tests[0].parameter.unit))
 
     @property
     def dated(self) -> bool:
-        """Whether the conditions give a date for every value."""
         return all(value.when for value in self.tests)
 
     @property
@@ -162,8 +158,8 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition; of three or more their weighted line, or parabola
-    of curved ones, at the mean of the conditions that are told apart from it.
+    """Values over a condition; of three or more their weighted line, or parabola of curved ones, at the mean
+    of the conditions that are told apart from it.
     """
     axis, x = series.over()[condition]
     low, high = series.intervals().T
@@ -412,12 +408,11 @@ def _blocks(of: Adjusted, apart: Apart) -> tuple[Block, ...]:
         which = f"outside: {outside}" if outside else "no value lies outside"
         centre, _, low, high = write_values(limits.centre, limits.rounding, limits.low, limits.high)
         ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
-        suppose = "The limits suppose that all tests are of one condition"
-        suppose += f", {of.without.lstrip(', ')}." if of.without else "."
+        suppose = f"The limits suppose that all tests are of one condition{of.without}."
         text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
         if n < weighted.SETTLED:
             text += f" With {n} values, fewer than {weighted.SETTLED}, the limits are provisional."
-        blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
+        blocks.append(Paragraph(text, "warning" if outside else "note"))
         blocks.append(control_figure(of, limits))
     return (*blocks, _value_table(coefficient, apart))
 

@@ -254,8 +254,7 @@ def _blocks(columns: TestColumns, n_value: int) -> tuple[Block, ...]:
     which = "no value lies outside"
     if outside:
         which = f"{len(outside)} of {n} values lie outside: {few(outside, MOST_OUTSIDE)}"
-    formula = limits.formula[0].upper() + limits.formula[1:]
-    control = f"{formula}; {which}. The limits suppose that all tests are of one condition."
+    control = f"{limits.formula}; {which}. The limits suppose that all tests are of one condition."
     differing = (
         name
         for name, (_, amounts) in columns.amounts.items()

@@ -428,8 +428,8 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArra
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
     s_wu = s_yu - response * s_uu
     s_ww = s_yy - 2 * (response.conj() * s_yu).real + np.abs(response) ** 2 * s_uu
-    rounded = (gain > 0) & (s_uu * gain < ROUNDED**2)
-    there = ~rounded & (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
+    measured = (s_uu * gain > ROUNDED**2) | (gain == 0)
+    there = measured & (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
     if not np.any(there):
         return 1.0
     s_uu, s_wu, s_ww, response = s_uu[there], s_wu[there], s_ww[there], response[there]

@@ -281,15 +281,14 @@ class ControlLimits:
 
     @property
     def formula(self) -> str:
-        chart = f"individuals chart: mean ∓ {self.reach:.2f} × mean moving range / 1.128"
+        chart = f"Individuals chart: mean ∓ {self.reach:.2f} × mean moving range / 1.128"
         return f"{chart}, beyond which one value or more lies in {100 * LEVEL:g} % of sound reports"
 
 
 def control_limits(values: FloatArray, n_value: int) -> ControlLimits:
-    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does
-    not widen them. They are as wide as *n_value* values in all charts of a report need. Equation
-    (comp-control); Montgomery, Introduction to Statistical Quality Control, sec. 6.4. FitError for fewer than
-    three values.
+    """Limits of values (n,) [any unit] in order of time, one chart of *n_value* in all, from the ranges of
+    neighbours: a shift does not widen them. Equation (comp-control); Montgomery, Introduction to Statistical
+    Quality Control, sec. 6.4. FitError for fewer than three values.
     """
     if values.size < FEWEST:
         raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
@@ -443,7 +442,7 @@ def from_the_rest(
 
 
 class SeriesOfTests:
-    """Values of one coefficient in several tests, in order of time where they have one, over conditions."""
+    """Values of one coefficient in several tests, in order of time where they have one."""
 
     @property
     def values(self) -> FloatArray:
@@ -452,9 +451,7 @@ class SeriesOfTests:
 
     @property
     def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Standard errors (n,) [unit of the values] of each test alone, changes (n_source, n) by sources in
-        common, and degrees of freedom (n_source,) [1] behind these.
-        """
+        """Standard errors (n,) [unit of the values] of each test alone, and sources as of `weighted_fit`."""
         raise NotImplementedError
 
     @property
@@ -495,7 +492,6 @@ class Trend:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is beyond chance."""
         return self.p_value < LEVEL
 
 
@@ -522,12 +518,11 @@ class Adjusted:
 
     @property
     def without(self) -> str:
-        """What was taken off, in words."""
         return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
 
 
 def adjust(series: Sequence[SeriesOfTests], trends: Sequence[Trend]) -> list[Adjusted]:
-    """All series of a report, less those *trends* that are beyond chance."""
+    """All series of a report, less those of its *trends* that are sure."""
     n_value = sum(n for of in series if (n := of.values.size) >= FEWEST)
     each = []
     for of in series:

@@ -282,16 +282,13 @@ def _si_of(text: str) -> str:
 
 @dataclass(frozen=True)
 class OtherMark:
-    """How angles count: in the other sense (*mirrored*), *turned* [rad] against those of the model, of the
-    *weights* as well.
-    """
+    """How angles count against a model's: *mirrored*, *turned* [rad], those of the *weights* as well."""
 
-    mirrored: bool
+    mirrored: bool = False
     turned: float = 0.0
     weights: bool = False
 
     def of(self, run: BalanceRun) -> BalanceRun:
-        """The run by the mark of weights and model."""
         turn = np.exp(1j * self.turned)
         readings = turn * (run.readings.conj() if self.mirrored else run.readings)
         return replace(run, readings=readings, weights=run.weights * (turn if self.weights else 1.0))
@@ -314,7 +311,7 @@ class Balanced:
     next_runs: dict[str, float]
     widened: float = 1.0
     intervals: tuple[WeightInterval, ...] = ()
-    mark: OtherMark | None = None
+    mark: OtherMark = OtherMark()
 
     @property
     def permissible(self) -> float | None:
@@ -348,11 +345,11 @@ def balance(file: BalanceFile) -> Balanced:
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
     intervals = weight_intervals(knowledge, weights)
-    mark = _other_mark(file) if unlikely else None
+    mark = _other_mark(file) if unlikely else OtherMark()
     return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mark)
 
 
-def _other_mark(file: BalanceFile) -> OtherMark | None:
+def _other_mark(file: BalanceFile) -> OtherMark:
     """How angles count where the readings agree with weights, and a model, which has a mark of its own."""
 
     def misfit(turned: FloatArray, mark: OtherMark) -> float:
@@ -367,7 +364,7 @@ def _other_mark(file: BalanceFile) -> OtherMark | None:
         angle, least, *_ = brute(misfit, ((0, 2 * np.pi),), (mark,), Ns=37, full_output=True)
         if chi2_tail(float(least), dof - 1) >= UNLIKELY:
             return replace(mark, turned=float(np.mod(angle[0], 2 * np.pi)))
-    return None
+    return OtherMark()
 
 
 def _choose_weights(
@@ -436,7 +433,7 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "widened": result.widened,
-        "mirrored": result.mark is not None and result.mark.mirrored,
-        "turned": 0.0 if result.mark is None else result.mark.turned,
+        "mirrored": result.mark.mirrored,
+        "turned": result.mark.turned,
         "next_runs": dict(result.next_runs),
     }

@@ -103,7 +103,7 @@ def sentences(result: Balanced) -> Iterator[str]:
             "weights are known less well (`weight_uncertainty`). All intervals count "
             f"{result.widened:.3g} times the stated noise"
         )
-        if result.mark is not None:
+        if result.mark.mirrored or result.mark.turned:
             yield _by_other_mark(result.mark)
     elif not knowledge.dof:
         yield (

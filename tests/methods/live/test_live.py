@@ -1177,8 +1177,8 @@ def test_what_no_average_can_tell_ends_with_a_message(bench, labpipe, rows, opti
 
 
 def test_hits_that_scatter_have_student_s_interval_of_their_scatter() -> None:
-    """Values 1 to 6 about 3.5: s^2 = 3.5, of the mean 3.5 / 6; t of 5 degrees of freedom 2.5706 (tables). Where
-    noise explains it - chi-square 5 s^2 over the variance of one hit below 11.07, the 5 % point - nothing.
+    """Values 1 to 6 about 3.5: s^2 = 3.5, of the mean 3.5 / 6; t of 5 degrees of freedom 2.5706 (tables).
+    Where noise explains it - chi-square 5 s^2 over the variance of one hit below 11.07 - nothing.
     """
     values = tuple(map(float, range(1, 7)))
     reach = 2.5706 * (3.5 / 6) ** 0.5
