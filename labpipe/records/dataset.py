@@ -13,7 +13,7 @@ from labpipe.quantities import UnitError, si_amount
 from labpipe.records import identification
 from labpipe.records.finding import Finding
 
-# Condition of the tests that gives a result's date.
+# Condition that dates a result.
 DATE = "date"
 
 

@@ -456,7 +456,7 @@ class SeriesOfTests:
 
     @property
     def amounts(self) -> Mapping[str, FloatArray]:
-        """Amounts (n,) [any unit] by condition, days among them."""
+        """Amounts (n,) [any unit] by condition."""
         raise NotImplementedError
 
     def joint_conditions(self, condition: str) -> tuple[tuple[str, ...], FloatArray]:

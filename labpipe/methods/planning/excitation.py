@@ -101,7 +101,7 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     forces = [("f", "force", shakers[0])]
     if evaluation.side_by_side:
         forces = [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
-    # A model of one direction moves where its shaker pushes.
+    # One direction is that of its shaker.
     dofs = settings.axes if len(settings.axes) > 1 else shakers
     motions = [(axis, "displacement", dof) for axis, dof in zip(settings.axes, dofs, strict=True)]
     moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.axes if settings.floating]
