@@ -17,7 +17,7 @@ import scipy
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.artefacts.json_file import named_entries
-from labpipe.distributions import chi2_tail, normal_quantile, normal_tail, student_quantile
+from labpipe.distributions import chi2_tail, normal_quantile, normal_tail
 from labpipe.errors import ConfigError
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live import running_fit
@@ -388,23 +388,17 @@ def hits_as_repeats(hits: Sequence[ComplexArray], n_output: int) -> dict[str, An
     return {"repeats": np.array(h), "repeat_names": names, "repeats_are": "hits"} if h else {}
 
 
-# Chance below which hits are taken to scatter beyond their noise.
-SCATTER_P = 0.05
+# Chance below which hits scatter beyond their noise.
+SCATTER_P = 1e-3
 
 
 def scatter_of_repeats(parameter: Parameter) -> float:
-    """The half-width [parameter unit] that with noise is Student's t of the scatter of repeats; 0 where noise
-    may be all.
-    """
+    """The half-width [parameter unit] by the scatter of repeats, as of a run; 0 where noise may be all."""
     of, parts = parameter.repeats, parameter.interval
     if not (of and parts and parts.noise > 0):
         return 0.0
-    dof = len(of.values) - 1
-    variance = float(np.var(of.values, ddof=1)) / of.used
-    if chi2_tail(dof * variance / parts.noise**2, dof) >= SCATTER_P:
-        return 0.0
-    square = student_quantile(0.975, dof) ** 2 * variance - (NORMAL * parts.noise) ** 2
-    return math.sqrt(max(square, 0.0))
+    squares = float(np.var(of.values)) * len(of.values) / (of.used * parts.noise**2)
+    return NORMAL * parts.repeats if chi2_tail(squares, len(of.values) - 1) < SCATTER_P else 0.0
 
 
 @dataclass(frozen=True)

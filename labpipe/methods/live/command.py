@@ -253,8 +253,8 @@ def _without_scatter(session: Session) -> list[str]:
 
 def _echo_left_out(session: Session) -> None:
     if fits := _without_scatter(session):
-        what = "labpipe run takes each hit for a repeat and adds their scatter to its intervals"
-        where = "which these hold beyond noise (p < .05, no force window)"
+        what = "labpipe run takes each hit for a repeat and adds their scatter beyond noise to its intervals"
+        where = "which these hold where noise cannot be all of it (p < .001, no force window)"
         echo(f"{', '.join(fits)}: {what}, {where}; repeats: pool leaves it out there as well")
 
 

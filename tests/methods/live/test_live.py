@@ -31,7 +31,7 @@ from labpipe.errors import DataError
 from labpipe.estimation.fitting import identify
 from labpipe.estimation.settings import FitSettings
 from labpipe.methods.live.bench import Bench
-from labpipe.methods.live.charts import Goal, scatter_of_repeats
+from labpipe.methods.live.charts import Goal
 from labpipe.methods.live.session import Session, WholeFits
 from labpipe.methods.live.sources import (
     Folder,
@@ -45,7 +45,6 @@ from labpipe.methods.live.sources import (
 from labpipe.methods.live.view import Page, course
 from labpipe.project.pipeline_file import load_for_stream
 from labpipe.raw_files.table import open_table
-from labpipe.records.finding import IntervalParts, Parameter, Repeats
 from labpipe.records.recording import Channel, Recording
 from labpipe.report.document import Document, Paragraph, Section
 from labpipe.spectra.measurement import measure
@@ -1174,16 +1173,3 @@ def test_what_no_average_can_tell_ends_with_a_message(bench, labpipe, rows, opti
     write_csv(bench / "test.csv", rows)
     ended = labpipe("live", bench / "pipeline.yaml", bench / "test.csv", "--idle", "0.1", *options)
     assert ended.code == 2 and what in ended.err
-
-
-def test_hits_that_scatter_have_student_s_interval_of_their_scatter() -> None:
-    """Values 1 to 6 about 3.5: s^2 = 3.5, of the mean 3.5 / 6; t of 5 degrees of freedom 2.5706 (tables).
-    Where noise explains it - chi-square 5 s^2 over the variance of one hit below 11.07 - nothing.
-    """
-    values = tuple(map(float, range(1, 7)))
-    reach = 2.5706 * (3.5 / 6) ** 0.5
-    for chi_square, whole in ((11.0, 0.0), (11.1, reach), (1e4, reach)):
-        noise = (5 * 3.5 / chi_square / 6) ** 0.5
-        parts, of = IntervalParts(noise, repeats=9.0), Repeats(6, 6, 1.0, values)
-        more = scatter_of_repeats(Parameter("k", 3.5, "N/m", std_error=1.0, repeats=of, interval=parts))
-        assert np.hypot(more, (1.95996 * noise) * (more > 0)) == pytest.approx(whole, rel=1e-4)
