@@ -150,6 +150,8 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity("frequency", "f", "Hz", "Hz"),
         Quantity("speed", "Omega", "Hz", "rpm"),
         Quantity("angle", "alpha", "rad", "deg"),
+        Quantity("angular_velocity", "omega", "rad/s", "rad/s"),
+        Quantity("angular_acceleration", "alpha", "rad/s^2", "rad/s^2"),
         Quantity("length", "l", "m", "mm"),
         Quantity("mass", "m", "kg", "kg"),
         Quantity("ratio", "r", "1", "%"),

@@ -16,13 +16,13 @@ from labpipe.cli.output import echo, echo_table, for_terminal, value_cells
 from labpipe.display import chance_text, difference_in, shown_unit, unit_label, with_error, write_values
 from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project import catalogue_search
-from labpipe.project.catalogue import DATE, NOT_COLUMNS, Filter, ResultRow, ValueRow, name_of
+from labpipe.project.catalogue import NOT_COLUMNS, Filter, ResultRow, ValueRow, name_of
 from labpipe.project.report import format_of, write_campaign
 from labpipe.quantities import readable_unit, to_display
-from labpipe.records.dataset import day_of
+from labpipe.records.dataset import DATE, day_of
 from labpipe.records.identification import ListedParameter, listed_parameters
 from labpipe.registry import few, list_names, nearest
-from labpipe.uncertainty.weighted import trend_verdict
+from labpipe.uncertainty import weighted
 
 
 @click.command(name="list")
@@ -96,9 +96,6 @@ def _units(rows: Sequence[ValueRow]) -> dict[tuple[str, str], str]:
     return {key: readable_unit(key[1], values) for key, values in sizes.items()}
 
 
-LEVEL = 0.05
-
-
 @click.command()
 @click.argument("folder", type=options.PLACE, default=Path("."))
 @click.option("-p", "--parameter", required=True, help="The parameter; '*' matches any characters.")
@@ -114,8 +111,8 @@ def trend(
     """Show a parameter over a condition in all results below FOLDER: values, slope, and over `date` control
     limits.
 
-    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors; control limits are mean -+
-    3 x mean moving range / 1.128 in the order of the dates.
+    FOLDER may be s3://bucket/prefix. The line is weighted by the standard errors. Control limits are of
+    values without their trends over other conditions; 5 % of sound campaigns have one beyond.
     """
     if output is not None:
         format_of(output)
@@ -133,8 +130,8 @@ def trend(
     selected = [row for series in all_series for row in series.rows]
     if not selected:
         raise DataError("no result matches these filters", shown_path(folder))
-    for series in all_series:
-        _echo_series(series)
+    for adjusted in weighted.adjust(all_series, weighted.trends_of(all_series)):
+        _echo_series(adjusted)
     for dated in dict.fromkeys(row.dated for row in selected if row.dated) if over == DATE else ():
         names = dict.fromkeys(name_of(row.path) for row in selected if row.dated == dated)
         echo(f"note: {list_names(list(names))}: without a condition `date`, dated by {dated}", err=True)
@@ -147,17 +144,18 @@ def trend(
         echo(f"written: {output}", err=True)
 
 
-def _echo_series(series: catalogue_search.ParameterSeries) -> None:
+def _echo_series(adjusted: weighted.Adjusted) -> None:
+    series: catalogue_search.ParameterSeries = adjusted.series
     echo(f"{series.parameter} of {series.fit} over {series.over}")
     # Over conditions other than time, values are expected to differ.
-    outside = set(map(id, series.outside)) if series.over == DATE else set()
+    limits = adjusted.limits if series.over == DATE else None
     rows = []
     shown = _unit(series)
-    for x, row in zip(series.condition, series.rows, strict=True):
-        mark = "out of control" if id(row) in outside else row.warnings
+    for place, (x, row) in enumerate(zip(series.condition, series.rows, strict=True)):
+        mark = "out of control" if limits and place in limits.outside else row.warnings
         cells = value_cells(row.value, row.std_error, row.unit, shown)
-        place = f"  {x:g} {unit_label(series.condition_unit)}".rstrip()
-        rows.append((place, *cells, row.label, row.date, mark))
+        start = f"  {x:g} {unit_label(series.condition_unit)}".rstrip()
+        rows.append((start, *cells, row.label, row.date, mark))
     header = (f"  {series.over}", series.parameter, "std. error", "unit", "test", "date", "")
     echo_table(header, rows, right=(1, 2))
     if series.copies:
@@ -167,7 +165,7 @@ def _echo_series(series: catalogue_search.ParameterSeries) -> None:
         echo(f"  left out, since a recording counts once: {which}")
     echo(f"  {_slope(series)}")
     if series.over == DATE:
-        echo(f"  {_control(series)}")
+        echo(f"  {_control(adjusted)}")
 
 
 def _unit(series: catalogue_search.ParameterSeries) -> str:
@@ -175,7 +173,7 @@ def _unit(series: catalogue_search.ParameterSeries) -> str:
 
 
 def _slope(series: catalogue_search.ParameterSeries) -> str:
-    line = series.line
+    line = series.line_over(series.over)
     if line is None:
         return (
             "no trend can be computed: at least three values with standard errors at different "
@@ -185,23 +183,25 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     slope, error = (difference_in(value, unit) for value in (float(line.values[1]), line.std_error(1)))
     reach, p_value = line.quantile(1) * error, line.p_of(1)
     per = unit_label(series.condition_unit.split(" ")[0]) or f"unit of {series.over}"
-    verdict = trend_verdict(slope, line.curved, sure=p_value < LEVEL)
+    verdict = weighted.trend_verdict(slope, line.curved, sure=p_value < weighted.LEVEL)
     scatter = f"; {line.curved}" if line.curved else ""
     scatter += "; the values scatter more than their errors, which are enlarged" if line.inflated else ""
-    held = f", at {' and '.join(series.together[0])} held" if series.together[0] else ""
+    _, *others = series.joint_conditions(series.over)[0]
+    held = f", at {' and '.join(others)} held" if others else ""
     stated = f"slope {with_error(slope, reach, unit, '+-')} per {per} (95 %){held}"
     return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 
-def _control(series: catalogue_search.ParameterSeries) -> str:
-    limits = series.limits
+def _control(adjusted: weighted.Adjusted) -> str:
+    series, limits = adjusted.series, adjusted.limits
     if limits is None:
         return "fewer than three values give no control limits"
     unit = _unit(series)
     centre, *ends = (to_display(value, unit) for value in (limits.centre, limits.low, limits.high))
     _, _, low, high = write_values(centre, difference_in(limits.rounding, unit), *ends)
-    beyond = ", ".join(row.label for row in series.outside) or "none"
-    return f"control limits {f'{low} to {high} {unit_label(unit)}'.rstrip()}: beyond {beyond}"
+    beyond = ", ".join(series.rows[place].label for place in limits.outside) or "none"
+    of = f" of {series.parameter}{adjusted.without}" if adjusted.conditions else ""
+    return f"control limits {f'{low} to {high} {unit_label(unit)}'.rstrip()}{of}: beyond {beyond}"
 
 
 # Parameters without a partner that `compare` names.
@@ -247,7 +247,7 @@ def compare(
         echo_table(header, [_cells(pair) for pair in selected], right=(3, 4, 5, 6, 8))
     tested = [pair for pair in pairs if pair.p_value is not None]
     n_different = sum(pair.differs for pair in tested)
-    level = f"level {100 * catalogue_search.LEVEL:g} %, corrected for their number"
+    level = f"level {100 * weighted.LEVEL:g} %, corrected for their number"
     echo(f"{n_different} of {len(tested)} parameters differ ({level})")
     alone = [*catalogue_search.lone_parameters(mine, others)]
     for which, names in zip(("first", "second"), alone, strict=True):

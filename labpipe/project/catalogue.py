@@ -26,15 +26,14 @@ from labpipe.artefacts.writing import output_file, without_staging
 from labpipe.errors import ConfigError, DataError, shorten
 from labpipe.project.run_record import days_of_runs, record_of_runs
 from labpipe.quantities import UnitError, si_amount
-from labpipe.records.dataset import DatasetRow, day_of, entries_of
+from labpipe.records.dataset import DATE, DatasetRow, day_of, entries_of
 from labpipe.records.finding import WARNING
 from labpipe.records.identification import Identification, listed_parameters, warning_codes
 from labpipe.records.sections import section
 from labpipe.registry import nearest
 
 INDEX = ".labpipe-catalogue.json"
-# Condition of the tests that gives a result's date, and what gives it else.
-DATE = "date"
+# What gives the date of a result without a condition.
 BY_RUN, BY_FILE = "the record of runs", "the last change of its file, which is another in a copy"
 # An index of another version or build is made anew.
 MADE_BY = f"{__version__} {code_digest()}"

@@ -19,10 +19,9 @@ import pyarrow.compute as pc
 from labpipe import distributions
 from labpipe.arrays import FloatArray
 from labpipe.artefacts import dataset_file
-from labpipe.errors import ConfigError, DataError, FitError
+from labpipe.errors import ConfigError, DataError
 from labpipe.project.catalogue import (
     BY_SOURCE,
-    DATE,
     MAY_LACK,
     NAMED,
     VALUE_COLUMNS,
@@ -37,21 +36,12 @@ from labpipe.project.catalogue import (
     results,
     split_condition,
 )
-from labpipe.records.dataset import DatasetRow, amount_of, day_of
+from labpipe.records.dataset import DATE, DatasetRow, amount_of, day_of
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import ListedParameter
 from labpipe.registry import list_names, nearest
-from labpipe.uncertainty.amounts import count_once, sources_in_common
-from labpipe.uncertainty.bandwise import holm
-from labpipe.uncertainty.weighted import (
-    ControlLimits,
-    WeightedFit,
-    are_separable,
-    control_limits,
-    dof_of_sum,
-    straight_trend,
-    variable_conditions,
-)
+from labpipe.uncertainty import weighted
+from labpipe.uncertainty.amounts import count_once, holm, sources_in_common
 
 # What gives the date of a test of many without the condition `date`.
 BY_RECORDING = "the last change of its first recording before it was evaluated"
@@ -218,8 +208,6 @@ def value_row(row: dict[str, Any], amounts: Mapping[str, Amounts]) -> ValueRow:
 
 # Comparison of two results, parameter by parameter.
 
-LEVEL = 0.05
-
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
@@ -238,7 +226,7 @@ class Difference:
 
     @property
     def differs(self) -> bool:
-        return self.p_value is not None and self.p_value < LEVEL
+        return self.p_value is not None and self.p_value < weighted.LEVEL
 
     @property
     def is_same(self) -> bool:
@@ -320,7 +308,7 @@ def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
         error = float(np.sqrt(np.sum(parts**2)))
     value, other_value = mine.parameter.value, other.parameter.value
     if error is not None and np.isfinite(error + value + other_value):
-        dof = dof_of_sum(parts, np.array([np.inf, np.inf, *dofs]))
+        dof = weighted.dof_of_sum(parts, np.array([np.inf, np.inf, *dofs]))
         p_value = distributions.two_sided((other_value - value) / error, dof)
     return Difference(
         fit=mine.title,
@@ -337,11 +325,9 @@ def _difference(mine: ListedParameter, other: ListedParameter) -> Difference:
 # Trend of a parameter over a condition or over time in selected results, and values beyond their control
 # limits.
 
-FEWEST = 3
-
 
 @dataclass(frozen=True)
-class ParameterSeries:
+class ParameterSeries(weighted.SeriesOfTests):
     """One parameter of one fit in many tests, [SI]; *condition* (n,) in *condition_unit*, ascending. copies:
     values of the same recordings as *rows*, which count once.
     """
@@ -360,45 +346,22 @@ class ParameterSeries:
 
     @property
     def values(self) -> FloatArray:
-        """Values of the parameter, (n,) [unit]."""
+        """Values (n,) [unit]."""
         return np.array([row.value for row in self.rows])
 
-    @cached_property
-    def together(self) -> tuple[tuple[str, ...], FloatArray]:
-        """Names of the other amounts that all tests have and tell apart from the condition, and all of these
-        (1 + n_other, n) [SI]; none where they do not.
-        """
-        there = variable_conditions([row.amounts for row in self.rows])
-        others = {name: amounts for name, (_, amounts) in there.items() if name != self.over}
-        rows = np.array([self.condition, *others.values()])
-        return (tuple(others), rows) if are_separable(rows) else ((), rows[:1])
-
     @property
-    def line(self) -> WeightedFit | None:
-        """The weighted line, its slope at the others of `together` held; None where values, errors or
-        differences of the condition are missing.
-        """
+    def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of each test alone (n,), by sources (n_source, n) [unit], degrees of freedom (n_source,) [1]."""
         errors = np.array([row.random_error for row in self.rows], np.float64)
-        sources = sources_in_common([(json.loads(row.changes), json.loads(row.dofs)) for row in self.rows])
-        try:
-            return straight_trend(self.together[1], self.values, errors, *sources)
-        except FitError:
-            return None
+        return errors, *sources_in_common(
+            [(json.loads(row.changes), json.loads(row.dofs)) for row in self.rows]
+        )
 
-    @property
-    def limits(self) -> ControlLimits | None:
-        """Control limits of the values in the order of their dates; None for fewer than three."""
-        values = np.array([row.value for row in self.by_date])
-        return control_limits(values) if values.size >= FEWEST else None
-
-    @property
-    def by_date(self) -> list[ValueRow]:
-        return sorted(self.rows, key=lambda row: row.date)
-
-    @property
-    def outside(self) -> list[ValueRow]:
-        """The values beyond the control limits."""
-        return [] if self.limits is None else [self.by_date[place] for place in self.limits.outside]
+    @cached_property
+    def amounts(self) -> dict[str, FloatArray]:
+        """Amounts (n,) [SI] that all tests have and that differ, and the condition."""
+        there = weighted.variable_conditions([row.amounts for row in self.rows])
+        return {name: np.array(amounts) for name, (_, amounts) in there.items()} | {self.over: self.condition}
 
 
 def trends(rows: Sequence[ValueRow], over: str) -> list[ParameterSeries]:

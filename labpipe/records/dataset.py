@@ -13,6 +13,9 @@ from labpipe.quantities import UnitError, si_amount
 from labpipe.records import identification
 from labpipe.records.finding import Finding
 
+# Condition that dates a result.
+DATE = "date"
+
 
 def amount_of(condition: object) -> tuple[float, str] | None:
     """A condition in SI with its unit; None for words such as "up"."""

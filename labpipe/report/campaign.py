@@ -14,7 +14,7 @@ from labpipe.arrays import FloatArray
 from labpipe.display import difference_in, unit_label, write_values
 from labpipe.errors import DataError, FitError
 from labpipe.quantities import display_unit, to_display
-from labpipe.records.dataset import amount_of, day_of
+from labpipe.records.dataset import DATE, amount_of, day_of
 from labpipe.records.identification import Fit, Identification, ListedParameter, listed_parameters, of_points
 from labpipe.registry import few
 from labpipe.report.chart import CONTROL, Axis, Panel, Series, control_lines, curve, dots, named_ticks, stack
@@ -23,8 +23,8 @@ from labpipe.report.document import Block, Document, Figure, Paragraph, Section,
 from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
 from labpipe.uncertainty import weighted
-from labpipe.uncertainty.amounts import count_once, sources_in_common
-from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.amounts import count_once, holm, sources_in_common
+from labpipe.uncertainty.weighted import Adjusted, Trend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,65 +40,54 @@ class Value(ListedParameter):
 
 
 @dataclass(frozen=True)
-class CoefficientSeries:
+class CoefficientSeries(weighted.SeriesOfTests):
     """The values of one parameter of one fit, by dates where all have one, else in the order given. copies:
     of the same recordings as these, which count once.
     """
 
     fit: str
     name: str
-    values: tuple[Value, ...]
+    tests: tuple[Value, ...]
     copies: tuple[Value, ...] = ()
 
     @property
     def title(self) -> str:
-        """The parameter and its fit."""
         return f"{self.name} of {self.fit}"
 
     @property
     def unit(self) -> str:
-        """The unit that all values are shown in."""
-        return display_unit(self.values[0].parameter.unit)
+        return display_unit(self.tests[0].parameter.unit)
 
     @property
     def axis(self) -> Axis:
-        """The ordinate of its figures."""
-        return Axis(self.name, unit_text(self.values[0].parameter.unit))
+        return Axis(self.name, unit_text(self.tests[0].parameter.unit))
 
     @property
     def dated(self) -> bool:
-        """Whether the conditions give a date for every value."""
-        return all(value.when for value in self.values)
+        return all(value.when for value in self.tests)
 
-    def show(self) -> FloatArray:
+    @property
+    def values(self) -> FloatArray:
         """Values (n,) [display unit]."""
-        return np.array([to_display(value.parameter.value, self.unit) for value in self.values])
+        return np.array([to_display(value.parameter.value, self.unit) for value in self.tests])
 
     def errors(self) -> FloatArray:
         """Standard errors (n,) [display unit], NaN where a fit has none."""
-        return self._in_unit([value.parameter.full_error for value in self.values])
+        return self._in_unit([value.parameter.full_error for value in self.tests])
 
     def _in_unit(self, errors: Sequence[float | None]) -> FloatArray:
         return np.array([np.nan if error is None else difference_in(error, self.unit) for error in errors])
 
+    @property
     def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Standard errors (n,) [display unit] of each test alone, changes (n_source, n) by sources in common,
-        and degrees of freedom (n_source,) [1] behind these.
-        """
-        alone = self._in_unit([value.random_error for value in self.values])
-        changes, dofs = sources_in_common([(value.changes, value.dofs) for value in self.values])
+        """Of each test alone (n,), by sources (n_source, n) [display unit], dof (n_source,) [1]."""
+        alone = self._in_unit([value.random_error for value in self.tests])
+        changes, dofs = sources_in_common([(value.changes, value.dofs) for value in self.tests])
         return alone, difference_in(1.0, self.unit) * changes, dofs
-
-    def line_over(self, x: FloatArray) -> weighted.WeightedFit | None:
-        """The straight trend over *x* (n,), or (n_condition, n) [any unit]; None where there is none."""
-        try:
-            return weighted.straight_trend(x, self.show(), *self.parted_errors())
-        except FitError:
-            return None
 
     def intervals(self) -> FloatArray:
         """95 % intervals (n, 2) [display unit], NaN where there is none."""
-        ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.values]
+        ends = [value.parameter.ci95 or (np.nan, np.nan) for value in self.tests]
         return np.array([[to_display(end, self.unit) for end in pair] for pair in ends])
 
     def over(self) -> dict[str, tuple[Axis, FloatArray]]:
@@ -107,25 +96,20 @@ class CoefficientSeries:
         """
         conditions = {}
         for name, (unit, amounts) in weighted.variable_conditions(
-            [value.conditions for value in self.values]
+            [value.conditions for value in self.tests]
         ).items():
             shown = np.array([to_display(amount, display_unit(unit)) for amount in amounts])
             conditions[name] = (Axis(name, unit_text(unit)), shown)
-        days = [day for value in self.values if (day := day_of(value.when))]
+        days = [day for value in self.tests if (day := day_of(value.when))]
         if self.dated and len(set(days)) > 1:
             since = np.array([float((day - min(days)).days) for day in days])
-            conditions["date"] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
+            conditions[DATE] = (Axis(f"days since {min(days).isoformat()}", "d"), since)
         return conditions
 
-    def joint_conditions(self, condition: str) -> tuple[list[str], FloatArray]:
-        """Names, and amounts (n_condition, n) [axis units], of a condition and all others that tests tell
-        apart; of this one alone where they do not.
-        """
-        over = self.over()
-        names = [condition, *(name for name in over if name != condition)]
-        rows = np.array([over[name][1] for name in names])
-        number = len(names) if weighted.are_separable(rows) else 1
-        return names[:number], rows[:number]
+    @property
+    def amounts(self) -> dict[str, FloatArray]:
+        """Amounts (n,) [axis unit] of `over`."""
+        return {name: amounts for name, (_, amounts) in self.over().items()}
 
 
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
@@ -174,26 +158,26 @@ N_TREND = 41
 
 
 def trend_figure(series: CoefficientSeries, condition: str) -> Figure:
-    """Values with their 95 % intervals over a condition; of three or more their weighted line, or parabola
-    of curved ones, at the mean of the conditions that are told apart from it.
+    """Values over a condition; of three or more their weighted line, or parabola of curved ones, at the mean
+    of the conditions that are told apart from it.
     """
     axis, x = series.over()[condition]
     low, high = series.intervals().T
-    tests = dots("tests", x, series.show(), marker="o", size=4.0, bars=(low, high))
+    tests = dots("tests", x, series.values, marker="o", size=4.0, bars=(low, high))
     line, law = _line(series, condition)
     chart = stack([Panel(axis, series.axis, (*line, tests))], 3.0)
     caption = (
         f"{series.title} over {condition}: tests with their 95 % intervals; line: weighted {law}, shaded: "
         "its 95 % interval."
     )
-    return Figure(chart, caption, f"{series.title} of {len(series.values)} tests over {condition}")
+    return Figure(chart, caption, f"{series.title} of {len(series.tests)} tests over {condition}")
 
 
 def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...], str]:
     names, rows = series.joint_conditions(condition)
     x, others = rows[0], f" at the mean {' and '.join(names[1:])}" if names[1:] else ""
     law = f"trend{others}" if others else "straight trend"
-    line, columns = series.line_over(rows), weighted.straight_columns(rows)
+    line, columns = series.line_over(condition), weighted.straight_columns(rows)
     if line is None:
         return (), law
     drawn = np.linspace(x.min(), x.max(), N_TREND)
@@ -203,19 +187,19 @@ def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...]
         law = f"parabola, since the tests are curved{others}"
         columns = np.column_stack([columns, columns[:, 1] ** 2])
         along = np.column_stack([along, along[:, 1] ** 2])
-        line = weighted.weighted_fit(columns, series.show(), *series.parted_errors())
+        line = weighted.weighted_fit(columns, series.values, *series.parted_errors)
     middle = along @ line.values
     reach = np.array([line.reach(row) for row in along])
     return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),), law
 
 
-def control_figure(of: Adjusted) -> Figure:
+def control_figure(of: Adjusted, limits: weighted.ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
-    series, values, limits = of.series, of.values, of.limits
+    series, values = of.series, of.values
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
     ringed = dots("outside", places[outside], values[outside], 1, marker="o", size=10.0, hollow=True)
     tests = curve("tests", places, values, marker=".", size=4.0)
-    names = [value.when if series.dated else value.label[-LONGEST_NAME:] for value in series.values]
+    names = [value.when if series.dated else value.label[-LONGEST_NAME:] for value in series.tests]
     x = Axis("tests by date" if series.dated else "tests in the order given", ticks=named_ticks(names, 1.0))
     lines = (*([ringed] if outside else []), *control_lines(limits.centre, limits.low, limits.high))
     alternative = f"Control chart of {series.title} with {len(outside)} values outside its limits"
@@ -258,38 +242,21 @@ TREND_HEADER = (
     "coefficient", "over", "slope", "unit", "95 % interval", "p-value", "after Holm", "beyond chance",
     "verdict",
 )  # fmt: skip
-LEVEL = 0.05
-FEWEST = 3
 MOST_NAMED, MOST_COPIES = 2, 12
 EXPLAINED = (
-    "Every coefficient that at least two results share. Trends are straight lines weighted by the standard "
-    "errors of the fits, over conditions that tests tell apart together, each slope at the others held; "
-    "where the tests scatter more than these say, the line's errors are enlarged, and of those that bend off "
-    "it a parabola is drawn (curved). Differences are of each value from the weighted mean of the others, or "
-    "from their trend over conditions where one is beyond chance. All p-values of one kind are "
-    f"corrected together after Holm: at most {100 * LEVEL:g} % chance of any false alarm among them."
+    "Every coefficient that two results share. Trends are straight lines weighted by the standard errors "
+    "of the fits, over conditions that tests tell apart, each slope at the others held; where tests scatter "
+    "more the line's errors are enlarged, and of those that bend off it a parabola is drawn (curved). "
+    "Differences are of each value from the weighted mean of the others, or from their trend. All p-values "
+    f"of one kind are corrected together after Holm: at most {100 * weighted.LEVEL:g} % chance of any false "
+    "alarm among them."
 )
-
-
-@dataclass(frozen=True)
-class Trend:
-    """The straight *line* of a series [display unit], its second parameter the slope over a condition [that
-    per unit of the condition].
-    """
-
-    series: CoefficientSeries
-    condition: str
-    line: weighted.WeightedFit
-
-    @property
-    def name(self) -> str:
-        return f"{self.series.title} over {self.condition}"
 
 
 def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document:
     """The report of many results (name, identification); DataError where they share no coefficient."""
     everything = coefficient_series(results)
-    series = [coefficient for coefficient in everything if len(coefficient.values) > 1]
+    series = [coefficient for coefficient in everything if len(coefficient.tests) > 1]
     copies = list(dict.fromkeys(value.label for coefficient in everything for value in coefficient.copies))
     overlays = sliding_overlays(results)
     if not series and not overlays:
@@ -298,23 +265,16 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
         raise DataError(
             "the results share no coefficient", hint="a campaign needs the same fit in at least two tests"
         )
-    trends = [
-        Trend(coefficient, name, line)
-        for coefficient in series
-        for name in coefficient.over()
-        if (line := coefficient.line_over(coefficient.joint_conditions(name)[1])) is not None
-    ]
-    corrected = holm(np.array([trend.line.p_of(1) for trend in trends]))
-    steep = [trend for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
-    adjusted = [_adjust(coefficient, steep) for coefficient in series]
+    trends = weighted.trends_of(series)
+    adjusted = weighted.adjust(series, trends)
     differences = _find_apart(adjusted)
     sources = tuple(
         (name, source["path"], source["sha256"]) for name, result in results for source in result.sources
     )
     sections = (
-        Section("Verdict", (*_verdict(adjusted, trends, corrected, differences), *_left_out(copies))),
+        Section("Verdict", (*_verdict(adjusted, trends, differences), *_left_out(copies))),
         Section("Results", (_results(results),)),
-        *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends, corrected)))] if trends else []),
+        *([Section("Trends", (Paragraph(EXPLAINED), _trend_table(trends)))] if trends else []),
         *(
             Section(of.series.title, _blocks(of, apart))
             for of, apart in zip(adjusted, differences, strict=True)
@@ -329,52 +289,12 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
+def _outside(of: Adjusted) -> list[str]:
+    return [of.series.tests[place].label for place in of.limits.outside] if of.limits else []
+
+
 # The difference of each value of a series from the others [display unit], and its p-value after Holm.
 Apart = tuple[FloatArray, FloatArray]
-
-
-@dataclass(frozen=True)
-class Adjusted:
-    """A *series* without its trends beyond chance over *conditions* other than the date: *columns* (n,
-    n_parameter) of these trends, *values* (n,) [display unit] as they were at the mean conditions.
-    """
-
-    series: CoefficientSeries
-    conditions: tuple[str, ...]
-    columns: FloatArray
-    values: FloatArray
-
-    @property
-    def limits(self) -> weighted.ControlLimits:
-        return weighted.control_limits(self.values)
-
-    @property
-    def outside(self) -> list[str]:
-        """Labels of the tests beyond the limits."""
-        return [self.series.values[place].label for place in self.limits.outside]
-
-    @property
-    def without(self) -> str:
-        """What was taken off, in words."""
-        return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
-
-
-def _adjust(series: CoefficientSeries, steep: Sequence[Trend]) -> Adjusted:
-    """Of curved values with squares and products of the conditions, as far as these are determined."""
-    values, over = series.show(), series.over()
-    trends = [of for of in steep if of.series is series and of.condition != "date"]
-    if not trends:
-        return Adjusted(series, (), np.ones((values.size, 1)), values)
-    names = tuple(of.condition for of in trends)
-    rows = np.array([over[name][1] for name in names])
-    # Trends over conditions that are not told apart from each other are one.
-    number = len(names) if weighted.are_separable(rows) else 1
-    columns = weighted.straight_columns(rows[:number])
-    columns /= np.max(np.abs(columns), axis=0)
-    if any(of.line.curved for of in trends):
-        columns = weighted.bent_columns(columns)
-    slopes = weighted.weighted_fit(columns, values, *series.parted_errors()).values[1:]
-    return Adjusted(series, names[:number], columns, values - columns[:, 1:] @ slopes)
 
 
 def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
@@ -392,21 +312,22 @@ def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
 
 
 def _from_the_rest(of: Adjusted) -> Apart:
+    errors, changes, dofs = of.series.parted_errors
     try:
-        return weighted.from_the_rest(of.series.show(), *of.series.parted_errors(), of.columns)
+        return weighted.from_the_rest(of.series.values, errors, changes, dofs, of.columns)
     except FitError:
         unknown = np.full(of.values.size, np.nan)
         return unknown, unknown
 
 
 def _verdict(
-    series: Sequence[Adjusted], trends: Sequence[Trend], corrected: FloatArray, differences: Sequence[Apart]
+    series: Sequence[Adjusted], trends: Sequence[Trend], differences: Sequence[Apart]
 ) -> tuple[Block, ...]:
-    charted = [of for of in series if of.values.size >= FEWEST]
-    labels = [(of.series.title + of.without, of.outside) for of in charted]
+    charted = [of for of in series if of.limits is not None]
+    labels = [(of.series.title + of.without, _outside(of)) for of in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
-    steep = [trend.name for trend, p in zip(trends, corrected, strict=True) if p < LEVEL]
-    n_apart = sum(int(np.sum(p < LEVEL)) for _, p in differences)
+    steep = [trend.name for trend in trends if trend.is_sure]
+    n_apart = sum(int(np.sum(p < weighted.LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
         which = f"{len(outside)} of {n} charts have values beyond their limits: {', '.join(outside)}."
@@ -414,7 +335,7 @@ def _verdict(
     elif charted:
         lead = Paragraph(f"In control: no value of {n} charts lies beyond its limits.", "passed")
     else:
-        needed = f"at least {FEWEST} of one coefficient are needed"
+        needed = f"at least {weighted.FEWEST} of one coefficient are needed"
         lead = Paragraph(f"Too few tests for control limits: {needed}.", "note")
     blocks = [lead]
     if trends:
@@ -448,12 +369,12 @@ def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     return Table(header, tuple(rows), "Results read together", (2, 3))
 
 
-def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
+def _trend_table(trends: Sequence[Trend]) -> Table:
     rows = []
-    for trend, p in zip(trends, corrected, strict=True):
+    for trend in trends:
         line, (slope, error, quantile) = trend.line, trend.line.state(1)
         ends = slope - quantile * error, slope + quantile * error
-        chances = f"{line.p_of(1):.2g}", f"{p:.2g}", "yes" if p < LEVEL else "no"
+        chances = f"{line.p_of(1):.2g}", f"{trend.p_value:.2g}", "yes" if trend.is_sure else "no"
         rows.append(
             (
                 trend.series.title,
@@ -462,7 +383,7 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
                 _slope_unit(trend),
                 " to ".join(write_values(slope, error, *ends)[2:]),
                 *chances,
-                weighted.trend_verdict(slope, line.curved, sure=p < LEVEL),
+                weighted.trend_verdict(slope, line.curved, sure=trend.is_sure),
             )
         )
     return Table(TREND_HEADER, tuple(rows), "Straight trends over the conditions", (2, 4, 5, 6))
@@ -471,53 +392,51 @@ def _trend_table(trends: Sequence[Trend], corrected: FloatArray) -> Table:
 def _slope_unit(trend: Trend) -> str:
     below = trend.series.over()[trend.condition][0].unit
     if not below:
-        return unit_text(trend.series.values[0].parameter.unit)
+        return unit_text(trend.series.tests[0].parameter.unit)
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
 def _blocks(of: Adjusted, apart: Apart) -> tuple[Block, ...]:
     coefficient = of.series
     bands = dict.fromkeys(
-        f"{low:g}-{high:g} Hz" for low, high in (value.band_hz for value in coefficient.values)
+        f"{low:g}-{high:g} Hz" for low, high in (value.band_hz for value in coefficient.tests)
     )
     blocks: list[Block] = []
     if len(bands) > 1:
         what = f"Fits of several bands have this name: {', '.join(bands)}."
         blocks.append(Paragraph(f"{what} Their values may differ by the bands alone.", "warning"))
     blocks += [trend_figure(coefficient, condition) for condition in coefficient.over()]
-    if len(coefficient.values) >= FEWEST:
-        limits, n = of.limits, of.values.size
-        outside = "; ".join(of.outside)
+    if (limits := of.limits) is not None:
+        n, outside = of.values.size, "; ".join(_outside(of))
         which = f"outside: {outside}" if outside else "no value lies outside"
         centre, _, low, high = write_values(limits.centre, limits.rounding, limits.low, limits.high)
         ends = f"{low} to {high} {unit_label(coefficient.unit)}".rstrip()
-        suppose = "The limits suppose that all tests are of one condition"
-        suppose += f", {of.without.lstrip(', ')}." if of.without else "."
+        suppose = f"The limits suppose that all tests are of one condition{of.without}."
         text = f"{limits.formula}; centre {centre}, limits {ends}; {which}. {suppose}"
         if n < weighted.SETTLED:
             text += f" With {n} values, fewer than {weighted.SETTLED}, the limits are provisional."
-        blocks.append(Paragraph(text[0].upper() + text[1:], "warning" if outside else "note"))
-        blocks.append(control_figure(of))
+        blocks.append(Paragraph(text, "warning" if outside else "note"))
+        blocks.append(control_figure(of, limits))
     return (*blocks, _value_table(coefficient, apart))
 
 
 def _value_table(coefficient: CoefficientSeries, apart: Apart) -> Table:
     rows = []
     over, (differences, corrected) = coefficient.over(), apart
-    for n, (value, error) in enumerate(zip(coefficient.show(), coefficient.errors(), strict=True)):
+    for n, (value, error) in enumerate(zip(coefficient.values, coefficient.errors(), strict=True)):
         (low, high), p = coefficient.intervals()[n], corrected[n]
         rows.append(
             (
-                coefficient.values[n].label,
-                coefficient.values[n].when if coefficient.dated else "",
-                *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != "date"),
+                coefficient.tests[n].label,
+                coefficient.tests[n].when if coefficient.dated else "",
+                *(f"{amounts[n]:g}" for name, (_, amounts) in over.items() if name != DATE),
                 round_to_error(value, error),
                 " to ".join(write_values(value, error, low, high)[2:]) if np.isfinite(low) else "none",
                 round_to_error(differences[n], error) if np.isfinite(differences[n]) else "",
-                f"{p:.2g}{' *' if p < LEVEL else ''}" if np.isfinite(p) else "",
+                f"{p:.2g}{' *' if p < weighted.LEVEL else ''}" if np.isfinite(p) else "",
             )
         )
-    named = tuple(axis.label for name, (axis, _) in over.items() if name != "date")
+    named = tuple(axis.label for name, (axis, _) in over.items() if name != DATE)
     last = (coefficient.axis.label, "95 % interval", "from the others", "p after Holm")
     header = ("test", "date", *named, *last)
     caption = f"Values of {coefficient.title}; * differs from the others"

@@ -118,7 +118,7 @@ def level(y: float, colour: int = GREY, line: str = "-", *, width: float = 0.8, 
 
 
 # The lines of a control chart, in words.
-CONTROL = "full line: mean, dashed: mean ∓ 3 × mean moving range / 1.128"
+CONTROL = "full line: mean, dashed: control limits"
 
 
 def control_lines(centre: float, low: float, high: float) -> tuple[Series, ...]:

@@ -132,12 +132,13 @@ def many_tests_document(identification: Identification, tests: ManyTests) -> Doc
     assert index is not None
     charted = tests.parameters[:MOST_CHARTED]
     coefficients = Table(HEADER, tuple(map(_row, tests.parameters)), CAPTION, (2, 3, 4, 5, 6, 8))
+    n_value = sum(int(np.sum(np.isfinite(columns.values))) for columns in charted)
     sections = (
         Section("Verdict", _verdict(identification, index)),
         Section("Warnings", _findings(index)),
         *_which(tests, identification.outcomes, index),
         Section("Coefficients", (coefficients, *_left_out(tests.parameters))),
-        *(Section(columns.title, _blocks(columns)) for columns in charted),
+        *(Section(columns.title, _blocks(columns, n_value)) for columns in charted),
         Section("Rig", rig_blocks(identification)),
         Section("Provenance", _provenance(identification)),
     )
@@ -240,18 +241,17 @@ def _left_out(parameters: Sequence[TestColumns]) -> tuple[Block, ...]:
     return (Paragraph(f"Figures follow for {which}; the dataset has them all.", "note"),)
 
 
-def _blocks(columns: TestColumns) -> tuple[Block, ...]:
+def _blocks(columns: TestColumns, n_value: int) -> tuple[Block, ...]:
     there = np.isfinite(columns.values)
     n = int(np.sum(there))
     if n < FEWEST:
         return (Paragraph(f"{count_text(n, 'value')}; figures need {FEWEST}.", "note"),)
-    limits = control_limits(columns.values[there])
+    limits = control_limits(columns.values[there], n_value)
     outside = np.array(columns.tests)[there][list(limits.outside)].tolist()
     which = "no value lies outside"
     if outside:
         which = f"{len(outside)} of {n} values lie outside: {few(outside, MOST_OUTSIDE)}"
-    formula = limits.formula[0].upper() + limits.formula[1:]
-    control = f"{formula}; {which}. The limits suppose that all tests are of one condition."
+    control = f"{limits.formula}; {which}. The limits suppose that all tests are of one condition."
     differing = (
         name
         for name, (_, amounts) in columns.amounts.items()

@@ -46,6 +46,8 @@ ENDS = 0.1
 # Samples of a short piece of a record; times their median up to which mean squares are silent between hits;
 # times the noise's standard deviation that hits reach; times its power down to which hits excite.
 PIECE, SILENT, STRUCK, CLEAR = 64, 3.0, 10.0, 4.0
+# Noise of a force over the force, below which it is rounding of a computed one.
+ROUNDED = 1e-10
 # Lines to either side over which spectra are averaged, order of the filter that takes resonances out.
 HALF_WIDTH, ORDER = 12, 20
 # The excited band ends where the force's power falls to the first share within a quarter more frequency, but
@@ -426,7 +428,8 @@ def chance_of_phase(noise: ComplexArray, response: ComplexArray, gain: FloatArra
     s_uu, s_yu, s_yy = noise[:, 0, 0].real, noise[:, 1, 0], noise[:, 1, 1].real
     s_wu = s_yu - response * s_uu
     s_ww = s_yy - 2 * (response.conj() * s_yu).real + np.abs(response) ** 2 * s_uu
-    there = (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
+    measured = (s_uu * gain > ROUNDED**2) | (gain == 0)
+    there = measured & (s_uu > 0) & (s_ww > 0) & (np.abs(response) > 0)
     if not np.any(there):
         return 1.0
     s_uu, s_wu, s_ww, response = s_uu[there], s_wu[there], s_ww[there], response[there]

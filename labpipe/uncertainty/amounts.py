@@ -48,6 +48,17 @@ def chance(name: str, p_value: float | None) -> Parameter:
     return Parameter(name, math.nan if p_value is None else p_value, "1", derived=True)
 
 
+def holm(p_values: FloatArray) -> FloatArray:
+    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid
+    under any dependence. Equation (comp-holm).
+    """
+    order = np.argsort(p_values)
+    steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
+    corrected = np.empty_like(p_values)
+    corrected[order] = np.minimum(steps, 1.0)
+    return corrected
+
+
 # Amounts of a comparison with what systematic sources add to their uncertainty, and the budget of all of
 # them.
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
 from labpipe.distributions import student_quantile, two_sided
 from labpipe.errors import ConfigError, FitError
@@ -17,7 +16,7 @@ from labpipe.records.comparison import ComparedBand, Comparison
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit
 from labpipe.registry import few, nearest
-from labpipe.uncertainty.amounts import chance, parameter_changes, random_error, source_dofs
+from labpipe.uncertainty.amounts import chance, holm, parameter_changes, random_error, source_dofs
 from labpipe.uncertainty.settings import CompareSettings
 from labpipe.uncertainty.weighted import dof_of_sum
 
@@ -28,17 +27,6 @@ COEFFICIENTS = ("N/m", "N.s/m")
 
 # The fits of two tests, in the order of the groups.
 TwoTests = tuple[tuple[Fit, ...], tuple[Fit, ...]]
-
-
-def holm(p_values: FloatArray) -> FloatArray:
-    """Holm's corrected p-values (n,) [1]: the i-th smallest times n - i + 1, not below those before it; valid
-    under any dependence. Equation (comp-holm).
-    """
-    order = np.argsort(p_values)
-    steps = np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1))
-    corrected = np.empty_like(p_values)
-    corrected[order] = np.minimum(steps, 1.0)
-    return corrected
 
 
 def bandwise(settings: CompareSettings, tests: TwoTests) -> Comparison:

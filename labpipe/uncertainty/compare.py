@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe import display
+from labpipe import display, distributions
 from labpipe.arrays import BoolArray, FloatArray
 from labpipe.errors import ConfigError, DataError, FitError
 from labpipe.estimation.settings import FitSettings
@@ -22,19 +22,73 @@ from labpipe.records.identification import Fit
 from labpipe.records.response import FrequencyResponse
 from labpipe.records.spectra import ChannelSpectra
 from labpipe.spectra.quality import reciprocity
-from labpipe.uncertainty.amounts import chance, from_log, relative_change
+from labpipe.uncertainty.amounts import chance, from_log, relative_change, with_error
 from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.observations import Campaign, campaign_of, group_of, select_fits
 from labpipe.uncertainty.settings import CompareSettings, ComparisonKind, comparison_kind, levels_of
 from labpipe.uncertainty.weighted import (
+    Components,
     WeightedFit,
+    components,
     curvature_text,
     dof_of_sum,
-    repeatability,
     trend_verdict,
     weighted_fit,
     weighted_mean,
 )
+
+
+def _mean_of_settings(campaign: Campaign, scatter: Components) -> Parameter:
+    """The mean of the settings [unit of the values]: their scatter s, and errors that no repetition shows.
+
+    u^2 = s^2 + sum over sources of (mean of their changes)^2, the former with a - 1 degrees of freedom. The
+    quantile is the mean of each part's own, by its share of u^2 (Cochran and Cox, Experimental Designs, 1957,
+    sec. 4.14), since that of Welch and Satterthwaite is too small beside a scatter of two settings.
+    """
+    parts = np.array([scatter.mean_error, *campaign.common @ scatter.weights])
+    dofs = [scatter.settings - 1, *campaign.common_dof]
+    quantiles = np.array([distributions.coverage_factor(0.95, dof) for dof in dofs])
+    error = float(np.linalg.norm(parts))
+    quantile = float(quantiles @ parts**2) / (error**2 or 1.0)
+    return with_error("mean", campaign.unit, scatter.mean, error, quantile)
+
+
+def repeatability(campaign: Campaign) -> Comparison:
+    """Variance components, and the scatter within settings against the fits' standard errors. Equation
+    (comp-repeatability).
+    """
+    settings, unit = campaign.settings, campaign.unit
+    groups = np.array([observation.group for observation in campaign.observations])
+    scatter = components(campaign.value, groups)
+    mean = _mean_of_settings(campaign, scatter)
+    noise = float(np.sqrt(np.mean(campaign.std_error**2)))
+    ratio = (scatter.within / noise) ** 2
+    dof = scatter.repeats - scatter.settings
+    noise_p = distributions.chi2_tail(ratio * dof, dof)
+    verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
+    percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
+    result = (
+        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings "
+        f"{percent[1]:.3g} % ({display.chance_text(scatter.p_value)})"
+    )
+    explained = f"{'agrees with' if noise_p >= settings.level else 'exceeds'} the fits' standard errors"
+    amounts = (
+        mean,
+        Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
+        Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
+        Parameter("noise", noise, unit, derived=True),
+        chance("p_value", scatter.p_value),
+        chance("noise_p", noise_p),
+    )
+    statement = f"{result}: {verdict}; the scatter within {explained} ({display.chance_text(noise_p)})."
+    return replace(
+        campaign.comparison(amounts, verdict, statement),
+        condition=settings.group,
+        condition_unit="",
+        second="",
+        second_unit="",
+    )
+
 
 # Trend of a parameter over a condition: weighted straight line or power law.
 

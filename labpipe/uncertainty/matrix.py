@@ -20,8 +20,7 @@ from labpipe.records import comparison
 from labpipe.records.finding import WARNING, Finding, Parameter, of_level
 from labpipe.records.identification import Fit, changes_of, dofs_of
 from labpipe.registry import nearest
-from labpipe.uncertainty.amounts import chance, change_in, random_error
-from labpipe.uncertainty.bandwise import holm
+from labpipe.uncertainty.amounts import chance, change_in, holm, random_error
 from labpipe.uncertainty.observations import amounts_of, check_single
 from labpipe.uncertainty.settings import EquilibriumSettings, MatrixSettings, levels_of
 from labpipe.uncertainty.weighted import weighted_mean

@@ -18,10 +18,9 @@ from labpipe import distributions
 from labpipe.arrays import FloatArray
 from labpipe.display import chance_text
 from labpipe.errors import FitError
-from labpipe.records.comparison import Comparison
+from labpipe.records.dataset import DATE
 from labpipe.records.finding import Parameter
-from labpipe.uncertainty.amounts import chance, joint_errors, with_error
-from labpipe.uncertainty.observations import Campaign
+from labpipe.uncertainty.amounts import holm, joint_errors, with_error
 
 # p-value below which the scatter is larger than the standard errors explain.
 SCATTER_LEVEL = 0.05
@@ -250,76 +249,27 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
     )
 
 
-def _mean(campaign: Campaign, scatter: Components) -> Parameter:
-    """The mean of the settings [unit of the values]: their scatter s, and errors that no repetition shows.
-
-    u^2 = s^2 + sum over sources of (mean of their changes)^2, the former with a - 1 degrees of freedom. The
-    quantile is the mean of each part's own, by its share of u^2 (Cochran and Cox, Experimental Designs, 1957,
-    sec. 4.14), since that of Welch and Satterthwaite is too small beside a scatter of two settings.
-    """
-    parts = np.array([scatter.mean_error, *campaign.common @ scatter.weights])
-    dofs = [scatter.settings - 1, *campaign.common_dof]
-    quantiles = np.array([distributions.coverage_factor(1 - 2 * TAIL, dof) for dof in dofs])
-    error = float(np.linalg.norm(parts))
-    quantile = float(quantiles @ parts**2) / (error**2 or 1.0)
-    return with_error("mean", campaign.unit, scatter.mean, error, quantile)
-
-
-def repeatability(campaign: Campaign) -> Comparison:
-    """Variance components, and the scatter within settings against the fits' standard errors. Equation
-    (comp-repeatability).
-    """
-    settings, unit = campaign.settings, campaign.unit
-    groups = np.array([observation.group for observation in campaign.observations])
-    scatter = components(campaign.value, groups)
-    mean = _mean(campaign, scatter)
-    noise = float(np.sqrt(np.mean(campaign.std_error**2)))
-    ratio = (scatter.within / noise) ** 2
-    dof = scatter.repeats - scatter.settings
-    noise_p = distributions.chi2_tail(ratio * dof, dof)
-    verdict = "settings differ" if scatter.p_value < settings.level else "settings alike"
-    percent = [100 * part / abs(scatter.mean) for part in (scatter.within, scatter.between)]
-    result = (
-        f"{campaign.subject}: scatter within a setting {percent[0]:.3g} %, between settings "
-        f"{percent[1]:.3g} % ({chance_text(scatter.p_value)})"
-    )
-    explained = f"{'agrees with' if noise_p >= settings.level else 'exceeds'} the fits' standard errors"
-    amounts = (
-        mean,
-        Parameter("within", scatter.within, unit, ci95=scatter.within_ci),
-        Parameter("between", scatter.between, unit, ci95=scatter.between_ci, at_bound=scatter.between == 0),
-        Parameter("noise", noise, unit, derived=True),
-        chance("p_value", scatter.p_value),
-        chance("noise_p", noise_p),
-    )
-    statement = f"{result}: {verdict}; the scatter within {explained} ({chance_text(noise_p)})."
-    return replace(
-        campaign.comparison(amounts, verdict, statement),
-        condition=settings.group,
-        condition_unit="",
-        second="",
-        second_unit="",
-    )
-
-
 # Many results of one coefficient: control limits, straight trends over conditions, and outliers against the
 # other results.
 
 # Mean of the range of two normal values in standard deviations, 2 / sqrt(pi).
 D2 = 2 / np.sqrt(np.pi)
-REACH = 3.0
+# Chance of any false alarm among all trends, and among all charts, of one report.
+LEVEL = 0.05
+FEWEST = 3
 # Number of values above which the limits themselves are accurate.
 SETTLED = 12
 
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """Limits of an individuals chart: centre -+ 3 sigma, sigma = mean moving range / 1.128; *outside*:
+    """Limits of an individuals chart: centre -+ reach sigma, sigma = mean moving range / 1.128; *outside*:
     indices of values beyond.
     """
 
     centre: float
     sigma: float
+    reach: float
     low: float
     high: float
     outside: tuple[int, ...]
@@ -331,21 +281,23 @@ class ControlLimits:
 
     @property
     def formula(self) -> str:
-        return "individuals (Shewhart) chart: mean ∓ 3 × mean moving range / 1.128"
+        chart = f"Individuals chart: mean ∓ {self.reach:.2f} × mean moving range / 1.128"
+        return f"{chart}, beyond which one value or more lies in {100 * LEVEL:g} % of sound reports"
 
 
-def control_limits(values: FloatArray) -> ControlLimits:
-    """Control limits of values (n,) [any unit] in order of time, from the ranges of neighbours: a shift does
-    not widen them. Equation (comp-control); Montgomery, Introduction to Statistical Quality Control, sec.
-    6.4. FitError for fewer than three values.
+def control_limits(values: FloatArray, n_value: int) -> ControlLimits:
+    """Limits of values (n,) [any unit] in order of time, one chart of *n_value* in all, from the ranges of
+    neighbours: a shift does not widen them. Equation (comp-control); Montgomery, Introduction to Statistical
+    Quality Control, sec. 6.4. FitError for fewer than three values.
     """
-    if values.size < 3:
+    if values.size < FEWEST:
         raise FitError(f"{values.size} value(s) give no control limits", hint="at least three are needed")
+    reach = -float(distributions.normal_quantile(LEVEL / (2 * n_value)))
     sigma = float(np.mean(np.abs(np.diff(values))) / D2)
     centre = float(np.mean(values))
-    low, high = centre - REACH * sigma, centre + REACH * sigma
+    low, high = centre - reach * sigma, centre + reach * sigma
     outside = tuple(int(n) for n in np.flatnonzero((values < low) | (values > high)))
-    return ControlLimits(centre, sigma, low, high, outside)
+    return ControlLimits(centre, sigma, reach, low, high, outside)
 
 
 def straight_trend(
@@ -359,7 +311,7 @@ def straight_trend(
     (n_condition, n) with a slope each; errors and sources as of `weighted_fit`. FitError for fewer than
     three. Equation (comp-straight).
     """
-    if values.size < 3:
+    if values.size < FEWEST:
         raise FitError(f"{values.size} value(s) show no trend", hint="at least three are needed")
     fit = weighted_fit(straight_columns(conditions), values, errors, changes, dofs)
     return replace(fit, curved=curvature_text(conditions, values, errors, changes, fit.values[0]))
@@ -487,3 +439,111 @@ def from_the_rest(
         difference = replace(difference, moved=by_sources, moved_dof=dofs)
         differences[n], chances[n] = difference.values[0], difference.p_of(0)
     return differences, chances
+
+
+class SeriesOfTests:
+    """Values of one coefficient in several tests, in order of time where they have one."""
+
+    @property
+    def values(self) -> FloatArray:
+        """Values (n,) [any unit]."""
+        raise NotImplementedError
+
+    @property
+    def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Standard errors (n,) [unit of the values] of each test alone, and sources as of `weighted_fit`."""
+        raise NotImplementedError
+
+    @property
+    def amounts(self) -> Mapping[str, FloatArray]:
+        """Amounts (n,) [any unit] by condition."""
+        raise NotImplementedError
+
+    def joint_conditions(self, condition: str) -> tuple[tuple[str, ...], FloatArray]:
+        """Names, and amounts (n_condition, n) [any unit], of a condition and all others that tests tell
+        apart; of this one alone where they do not.
+        """
+        others = (name for name, of in self.amounts.items() if name != condition and np.ptp(of))
+        names = (condition, *others)
+        rows = np.array([self.amounts[name] for name in names])
+        number = len(names) if are_separable(rows) else 1
+        return names[:number], rows[:number]
+
+    def line_over(self, condition: str) -> WeightedFit | None:
+        """The straight trend over a condition, the `joint_conditions` held; None where there is none."""
+        try:
+            return straight_trend(self.joint_conditions(condition)[1], self.values, *self.parted_errors)
+        except FitError:
+            return None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """The straight *line* of a series over a condition; p-value among all trends of a report after Holm."""
+
+    series: Any
+    condition: str
+    line: WeightedFit
+    p_value: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.series.title} over {self.condition}"
+
+    @property
+    def is_sure(self) -> bool:
+        return self.p_value < LEVEL
+
+
+def trends_of(series: Sequence[SeriesOfTests]) -> list[Trend]:
+    """Every trend of all series over each of their conditions."""
+    found = [
+        (of, name, line) for of in series for name in of.amounts if (line := of.line_over(name)) is not None
+    ]
+    corrected = holm(np.array([line.p_of(1) for *_, line in found])).tolist()
+    return [Trend(*trend, p) for trend, p in zip(found, corrected, strict=True)]
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A *series* without its trends beyond chance over *conditions* other than the date: *columns* (n,
+    n_parameter) of these, *values* (n,) [unit of the series] at the mean conditions; limits of three or more.
+    """
+
+    series: Any
+    conditions: tuple[str, ...]
+    columns: FloatArray
+    values: FloatArray
+    limits: ControlLimits | None = None
+
+    @property
+    def without(self) -> str:
+        return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
+
+
+def adjust(series: Sequence[SeriesOfTests], trends: Sequence[Trend]) -> list[Adjusted]:
+    """All series of a report, less those of its *trends* that are sure."""
+    n_value = sum(n for of in series if (n := of.values.size) >= FEWEST)
+    each = []
+    for of in series:
+        made = _adjust_one(of, [trend for trend in trends if trend.series is of and trend.is_sure])
+        limits = control_limits(made.values, n_value) if made.values.size >= FEWEST else None
+        each.append(replace(made, limits=limits))
+    return each
+
+
+def _adjust_one(series: SeriesOfTests, steep: Sequence[Trend]) -> Adjusted:
+    """Of curved values with squares and products of the conditions, as far as these are determined."""
+    values, trends = series.values, [of for of in steep if of.condition != DATE]
+    if not trends:
+        return Adjusted(series, (), np.ones((values.size, 1)), values)
+    names = tuple(of.condition for of in trends)
+    rows = np.array([series.amounts[name] for name in names])
+    # Trends over conditions that are not told apart from each other are one.
+    number = len(names) if are_separable(rows) else 1
+    columns = straight_columns(rows[:number])
+    columns /= np.max(np.abs(columns), axis=0)
+    if any(of.line.curved for of in trends):
+        columns = bent_columns(columns)
+    slopes = weighted_fit(columns, values, *series.parted_errors).values[1:]
+    return Adjusted(series, names[:number], columns, values - columns[:, 1:] @ slopes)

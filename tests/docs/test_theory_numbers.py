@@ -323,11 +323,10 @@ def test_many_results() -> None:
     assert holm(p) == pytest.approx(
         [0.06, 0.03, 0.06]
     )  # comp-holm: 3 x 0.01, 2 x 0.03, 1 x 0.04 not below those before
-    limits = control_limits(values)
-    sigma = np.mean([0.1, 0.1, 0.2]) * np.sqrt(np.pi) / 2
-    assert (limits.low, limits.high) == pytest.approx(
-        (np.mean(values) - 3 * sigma, np.mean(values) + 3 * sigma)
-    )  # comp-control
+    limits = control_limits(values, 8)
+    reach = stats.norm.ppf(1 - 0.025 / 8) * np.mean([0.1, 0.1, 0.2]) * np.sqrt(np.pi) / 2
+    ends = np.mean(values) - reach, np.mean(values) + reach
+    assert (limits.low, limits.high) == pytest.approx(ends)  # comp-control
     rest = np.array([1, 2, 3])
     share = np.linalg.inv(v[np.ix_(rest, rest)]).sum(axis=0)
     share = np.concatenate([[-1.0], share / share.sum()])

@@ -28,6 +28,7 @@ from labpipe.records.identification import (
     RuleOutcome,
     of_fit,
 )
+from labpipe.uncertainty import weighted
 
 
 def parameter(name: str, value: float, error: float | None, unit: str = "N/m") -> Parameter:
@@ -282,20 +283,25 @@ def test_a_trend_over_a_condition(line: Path) -> None:
     """
     (series,) = trends(found_values(line, Filter(parameter="k")), "preload")
     assert list(series.condition) == [100.0, 200.0, 300.0, 400.0] and series.condition_unit == "N"
-    assert series.line is not None
-    assert series.line.values[1] == pytest.approx(2.0) and series.line.std_error(1) == pytest.approx(
-        10 / 50_000**0.5
-    )
+    drawn = series.line_over("preload")
+    assert drawn is not None and drawn.values[1] == pytest.approx(2.0)
+    assert drawn.std_error(1) == pytest.approx(10 / 50_000**0.5)
 
 
-def test_a_trend_over_time_and_its_limits(line: Path) -> None:
-    """By date 1200, 1400, 1800, 1600: mean 1500, mean moving range 800 / 3, sigma = that over 2 /
-    sqrt(pi).
+def test_limits_over_time_are_those_of_values_without_their_trend(line: Path) -> None:
+    """By date 1200, 1400, 1800, 1600, exactly 1000 + 2 x preload: 1500 each at the mean preload. Without
+    preload the mean moving range is 800 / 3, sigma that over 2 / sqrt(pi).
     """
-    (series,) = trends(found_values(line, Filter(parameter="k")), "date")
-    assert list(series.condition) == [0.0, 1.0, 2.0, 3.0]
-    assert series.limits is not None and series.limits.centre == pytest.approx(1500.0)
-    assert series.limits.sigma == pytest.approx(800 / 3 * np.pi**0.5 / 2) and not series.outside
+    found = found_values(line, Filter(parameter="k"))
+    for rows, sigma, conditions in (
+        (found, 0.0, ("preload",)),
+        ([replace(row, amounts={}) for row in found], 800 / 3 * np.pi**0.5 / 2, ()),
+    ):
+        series = trends(rows, "date")
+        (adjusted,) = weighted.adjust(series, weighted.trends_of(series))
+        assert list(series[0].condition) == [0.0, 1.0, 2.0, 3.0] and adjusted.conditions == conditions
+        assert adjusted.limits is not None and adjusted.limits.centre == pytest.approx(1500.0)
+        assert adjusted.limits.sigma == pytest.approx(sigma, abs=1e-9)
 
 
 def test_a_value_out_of_control_is_named(tmp_path: Path, labpipe) -> None:
@@ -329,12 +335,12 @@ def test_trends_on_the_terminal_as_csv_and_as_report(line: Path, labpipe) -> Non
     assert "Campaign" in (line / "t.html").read_text()
     ended = labpipe("trend", line, "-p", "k", "--over", "preload", "--where", "preload < 250 N")
     assert "no trend can be computed" in ended.out
-    # 1500 N/m and three times 800 / 3 / 1.128 to either side.
+    # 1500 N/m at the mean preload, all four.
     ended = labpipe("trend", line, "-p", "k", "--over", "date")
-    low, high = re.search(r"control limits ([\d.]+) to ([\d.]+) kN/m: beyond none", ended.out).groups()
-    assert [float(low), float(high)] == pytest.approx(
-        [1.5 - 0.4 * np.pi**0.5, 1.5 + 0.4 * np.pi**0.5], rel=1e-5
-    )
+    low, high = re.search(
+        r"limits ([\d.]+) to ([\d.]+) kN/m of k, less its trend over preload: beyond none", ended.out
+    ).groups()
+    assert [float(low), float(high)] == pytest.approx([1.5, 1.5], rel=1e-5)
 
 
 @pytest.mark.parametrize(

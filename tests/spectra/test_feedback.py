@@ -360,3 +360,17 @@ def test_a_band_ends_at_a_cliff_unless_the_force_is_coherent_beyond(
     assert edges_of(coarse, np.where(inside, 1.0, beyond)) == edges
     # A slope that falls by less than to a tenth within a quarter of the frequency is not a cliff.
     assert edges_of((np.maximum(np.arange(40), 1) / 40.0)[:, None] ** 2, np.full(40, 0.2)) == (0, 40)
+
+
+def test_rounding_of_a_force_that_repeats_to_the_last_digit_is_no_feedback(rng: np.random.Generator) -> None:
+    """Forces of 1 N whose noise is that of the response times 1e-9 and -j beside noise of its own, as a
+    controller feeds it back, and times 1e-13, which double precision leaves of a computed force.
+    """
+    tone = rng.standard_normal((20, 8)) + 1j * rng.standard_normal((20, 8))
+    found = []
+    for share in (1e-9, 1e-13):
+        own = rng.standard_normal((20, 8)) + 1j * rng.standard_normal((20, 8))
+        both = np.stack([-1j * share * (tone + 0.3 * own), tone], axis=1)
+        noise = both @ both.conj().swapaxes(1, 2) / 8
+        found.append(chance_of_phase(noise, np.ones(20, complex), np.ones(20), 8))
+    assert found[0] < LEVEL and found[1] == 1.0

@@ -21,7 +21,8 @@ from labpipe.records.identification import Fit
 from labpipe.records.uncertain import Uncertainty
 from labpipe.report.comparison import comparison_blocks
 from labpipe.report.document import Figure, Table
-from labpipe.uncertainty.bandwise import bandwise, holm, two_tests
+from labpipe.uncertainty.amounts import holm
+from labpipe.uncertainty.bandwise import bandwise, two_tests
 from labpipe.uncertainty.compare import Evidence, compare
 from labpipe.uncertainty.settings import CompareSettings
 from tests.methods.magnetic_bearing.loop_cases import SETTINGS, bearing, measured

@@ -16,11 +16,11 @@ from labpipe.records.dataset import TestResult, rows_of_fit
 from labpipe.records.identification import Fit, of_fit
 from labpipe.records.uncertain import Budget, Uncertainty
 from labpipe.uncertainty.amounts import change_in, joint_errors, parameter_changes, random_error, source_dofs
-from labpipe.uncertainty.compare import difference, trend
+from labpipe.uncertainty.compare import difference, repeatability, trend
 from labpipe.uncertainty.matrix import condition_matrix
 from labpipe.uncertainty.observations import campaign_of
 from labpipe.uncertainty.settings import CompareSettings, MatrixSettings
-from labpipe.uncertainty.weighted import from_the_rest, repeatability, straight_trend
+from labpipe.uncertainty.weighted import from_the_rest, straight_trend
 from tests.uncertainty.conftest import a_fit
 
 

@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 from labpipe.errors import FitError
+from labpipe.uncertainty.compare import repeatability
 from labpipe.uncertainty.settings import CompareSettings
-from labpipe.uncertainty.weighted import components, repeatability
+from labpipe.uncertainty.weighted import components
 
 SETTINGS = CompareSettings(kind="repeatability", fit="axial", group="mounting", name="repeats")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brute
 
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.distributions import chi2_tail
@@ -279,12 +281,26 @@ def _si_of(text: str) -> str:
 
 
 @dataclass(frozen=True)
+class OtherMark:
+    """How angles count against a model's: *mirrored*, *turned* [rad], those of the *weights* as well."""
+
+    mirrored: bool = False
+    turned: float = 0.0
+    weights: bool = False
+
+    def of(self, run: BalanceRun) -> BalanceRun:
+        turn = np.exp(1j * self.turned)
+        readings = turn * (run.readings.conj() if self.mirrored else run.readings)
+        return replace(run, readings=readings, weights=run.weights * (turn if self.weights else 1.0))
+
+
+@dataclass(frozen=True)
 class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
-    weights that would leave nothing, none where readings are fewer than planes. *mirrored*: since their
-    angles count in the other sense than those of the weights.
+    weights that would leave nothing, none where readings are fewer than planes. *mark*: by which
+    the readings agree where they do not as given.
     """
 
     file: BalanceFile
@@ -295,7 +311,7 @@ class Balanced:
     next_runs: dict[str, float]
     widened: float = 1.0
     intervals: tuple[WeightInterval, ...] = ()
-    mirrored: bool = False
+    mark: OtherMark = OtherMark()
 
     @property
     def permissible(self) -> float | None:
@@ -329,15 +345,26 @@ def balance(file: BalanceFile) -> Balanced:
     expected = next_runs(knowledge, noise, candidates)
     residual = residual_of(knowledge, weights, noise)
     intervals = weight_intervals(knowledge, weights)
-    mirrored = bool(unlikely) and _agree_mirrored(file)
-    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mirrored)
+    mark = _other_mark(file) if unlikely else OtherMark()
+    return Balanced(file, knowledge, weights, masses, residual, expected, widened, intervals, mark)
 
 
-def _agree_mirrored(file: BalanceFile) -> bool:
-    """Whether the readings agree with weights, and a model, where their angles count in the other sense."""
-    runs = [replace(run, readings=run.readings.conj()) for run in file.runs]
-    known = influence(runs, file.noise, file.prior)
-    return chi2_tail(known.misfit, known.dof) >= UNLIKELY
+def _other_mark(file: BalanceFile) -> OtherMark:
+    """How angles count where the readings agree with weights, and a model, which has a mark of its own."""
+
+    def misfit(turned: FloatArray, mark: OtherMark) -> float:
+        runs = [replace(mark, turned=turned.item()).of(run) for run in file.runs]
+        return influence(runs, file.noise, file.prior).misfit
+
+    dof = influence(file.runs, file.noise, file.prior).dof
+    if chi2_tail(misfit(np.zeros(1), OtherMark(True)), dof) >= UNLIKELY:
+        return OtherMark(True)
+    for mirrored, weights in itertools.product((False, True), repeat=2) if file.prior else ():
+        mark = OtherMark(mirrored, weights=weights)
+        angle, least, *_ = brute(misfit, ((0, 2 * np.pi),), (mark,), Ns=37, full_output=True)
+        if chi2_tail(float(least), dof - 1) >= UNLIKELY:
+            return replace(mark, turned=float(np.mod(angle[0], 2 * np.pi)))
+    return OtherMark()
 
 
 def _choose_weights(
@@ -406,6 +433,7 @@ def balance_entry(result: Balanced) -> dict[str, Any]:
         "permissible": result.permissible,
         "chi2": {"value": result.knowledge.misfit, "dof": result.knowledge.dof},
         "widened": result.widened,
-        "mirrored": result.mirrored,
+        "mirrored": result.mark.mirrored,
+        "turned": result.mark.turned,
         "next_runs": dict(result.next_runs),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from labpipe.cli import options
 from labpipe.cli.output import echo
 
 if TYPE_CHECKING:
-    from labpipe.methods.balancing.balance_file import Balanced
+    from labpipe.methods.balancing.balance_file import Balanced, OtherMark
 
 # Share of what is left down to which one more run must lower it.
 WORTHWHILE = 0.8
@@ -51,6 +52,15 @@ def _weight(result: Balanced, plane: int) -> str:
     size, angle = result.intervals[plane].size, result.intervals[plane].angle
     to = "any angle" if angle is None else " to ".join(f"{degrees(end) % 360:.1f}" for end in angle) + " deg"
     return f"{text} (95 %: {1e6 * size[0]:.4g} to {1e6 * size[1]:.4g} g mm, {to})"
+
+
+def _by_other_mark(mark: OtherMark) -> str:
+    weights = ", and those of the weights," if mark.weights else ""
+    counted = ["counted in the other sense than those of the weights"] if mark.mirrored else []
+    if mark.turned:
+        counted.append(f"{math.degrees(mark.turned):.1f} deg larger, by the mark of the model")
+    how = f"{weights} are {' and '.join(counted)}"
+    return f"warning: the readings agree where their angles{how}; the weights above are wrong then"
 
 
 def sentences(result: Balanced) -> Iterator[str]:
@@ -93,11 +103,8 @@ def sentences(result: Balanced) -> Iterator[str]:
             "weights are known less well (`weight_uncertainty`). All intervals count "
             f"{result.widened:.3g} times the stated noise"
         )
-        if result.mirrored:
-            yield (
-                "warning: the readings agree where their angles are counted in the other sense than those of "
-                "the weights; the weights above are wrong then"
-            )
+        if result.mark.mirrored or result.mark.turned:
+            yield _by_other_mark(result.mark)
     elif not knowledge.dof:
         yield (
             "note: no run is to spare, so that nothing shows whether readings scatter as stated and count "

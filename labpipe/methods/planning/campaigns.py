@@ -448,7 +448,6 @@ def with_shares(rig: PlannedRig, tests: Sequence[Multisines], shares: FloatArray
 
 
 def equal_times(rig: PlannedRig, tests: Sequence[Multisines]) -> PlannedCampaign:
-    """The tests with the same time each."""
     return with_shares(rig, tests, np.full(len(tests), 1 / len(tests)))
 
 

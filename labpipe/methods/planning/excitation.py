@@ -101,7 +101,9 @@ def rig_entries(evaluation: Evaluation) -> dict[str, Any]:
     forces = [("f", "force", shakers[0])]
     if evaluation.side_by_side:
         forces = [(f"f_{number}", "force", shaker) for number, shaker in enumerate(shakers, 1)]
-    motions = [(axis, "displacement", axis) for axis in settings.axes]
+    # One direction is that of its shaker.
+    dofs = settings.axes if len(settings.axes) > 1 else shakers
+    motions = [(axis, "displacement", dof) for axis, dof in zip(settings.axes, dofs, strict=True)]
     moved = [(f"a_{axis}", "acceleration", axis) for axis in settings.axes if settings.floating]
     return {
         "name": evaluation.title,
@@ -289,6 +291,9 @@ def _read_expected(file: PlanFile) -> Expected:
     if len(fits) > 1:
         what = f"{path.name} holds {len(fits)} fits named '{fits[0].name}', of tests or bands"
         raise SettingError("fit", what, "the result of one test in one band")
+    if totals := [p.name for p in fits[0].parameters if p.name.endswith("_total")]:
+        what = f"the fit '{fits[0].name}' is of one bearing, without the support, and no plan is"
+        raise SettingError("earlier", what, f"`expected` with the values of {', '.join(totals)}")
     coefficients = {p.name: p.value for p in fits[0].parameters if _is_coefficient(p)}
     return Expected(theory | coefficients | typed, earlier_uncertainties(fits[0], typed))
 

@@ -96,7 +96,6 @@ class Plan:
 
     @property
     def with_goals(self) -> bool:
-        """Whether anything is wanted in particular."""
         return any(c.goal is not None or c.goal_expanded is not None for c in self.coefficients)
 
 

@@ -119,11 +119,9 @@ def polar_figure(result: records.RunUpResult, method: records.RunUpMethod | None
     panels = tuple(_polar(result, method, number, motion) for number, motion in enumerate(motions))
     lines = "" if method is None else f"; lines: {method.title}"
     graphic = chart.Chart(panels, rows, 2, (chart.WIDTH, 3.3 * rows + 0.6), legend="above")
-    return Figure(
-        graphic,
-        f"Polar plots of all runs, 0-to-peak; dots: measured{lines}.",
-        "Polar plots of every plane and direction",
-    )
+    angles = f"angles from the keyphasor's pulse, a lag clockwise; numbers: rpm of {result.runs[0].name}"
+    caption = f"Polar plots of all runs, 0-to-peak, {angles}; dots: measured{lines}."
+    return Figure(graphic, caption, "Polar plots of every plane and direction")
 
 
 def _polar(
@@ -137,6 +135,11 @@ def _polar(
         if prediction is not None:
             path = UM * phasor(prediction.motions[number])
             series.append(chart.curve(f"{run.name} computed", path.real, path.imag, colour, width=0.9))
+    run, value = result.runs[0], UM * phasor(result.runs[0].motions[number])
+    places = orbit_places(run)
+    at = 1.12 * value[places]
+    speeds = [f"{RPM * run.speed[place]:.0f}" for place in places]
+    series.append(chart.labels(at.real, at.imag, speeds, size=6.0))
     x, y = chart.Axis("real part", "um"), chart.Axis("imaginary part", "um")
     return chart.Panel(x, y, tuple(series), f"{motion.plane}, {motion.direction}", equal=True)
 
@@ -149,7 +152,7 @@ def orbit_figure(result: records.RunUpResult, method: records.RunUpMethod | None
     dashed = "" if method is None else f"; dashed: {method.title}"
     caption = (
         f"Orbits of 1x below, about and above the critical speed; solid: measured{dashed}; the dot "
-        "marks the keyphasor's pulse."
+        "marks the keyphasor's pulse, the arrow the sense of the motion."
     )
     return Figure(graphic, caption, "Orbits of every run at four speeds, measured and by one method")
 
@@ -189,7 +192,8 @@ def _ellipse(x: complex, y: complex, colour: int, line: str, name: str) -> list[
     if line != "-":
         return [path]
     pulse = f"{name.removesuffix(' measured')} keyphasor"
-    return [path, chart.dots(pulse, across[:1], along[:1], colour, marker="o")]
+    sense = chart.arrow((across[6], along[6]), (across[9], along[9]), colour)
+    return [path, chart.dots(pulse, across[:1], along[:1], colour, marker="o"), sense]
 
 
 def speeds_figure(result: records.RunUpResult) -> Figure:

@@ -48,7 +48,6 @@ class AtLoad:
 
 
 def with_unbalance_of(rig: RunUpRotor, run: records.RunUp) -> RunUpRotor:
-    """The rotor with a run's unbalance."""
     known, sizes = rig.known_unbalance, run.unbalance
     same = known.keys() == sizes.keys() and all(
         abs(size - known[plane]) <= 1e-9 * abs(size) for plane, size in sizes.items()

@@ -275,6 +275,58 @@ def test_angles_of_readings_that_count_the_other_way_are_named(labpipe, tmp_path
         assert ("no run is to spare" in ended.out) == (n_run == 3)
 
 
+@pytest.mark.parametrize(
+    ("mirrored", "turned", "with_weights", "said"),
+    [
+        (False, 0.0, False, None),
+        (True, 0.0, False, "angles are counted in the other sense than those of the weights;"),
+        (False, 70.0, False, "angles are 70.0 deg larger, by the mark of the model;"),
+        (
+            False,
+            70.0,
+            True,
+            "angles, and those of the weights, are 70.0 deg larger, by the mark of the model;",
+        ),
+        (
+            True,
+            250.0,
+            False,
+            "sense than those of the weights and 250.0 deg larger, by the mark of the model;",
+        ),
+    ],
+)
+def test_a_mark_that_is_not_that_of_the_model_is_named(
+    labpipe, tmp_path: Path, mirrored: bool, turned: float, with_weights: bool, said: str | None
+) -> None:
+    """Exact z = z_0 + alpha w of a model known to .1 %, as found and with one weight. From another mark the
+    angles of z, or of z and w, are smaller by its angle; where they count the other way z is conj(z) then.
+    """
+    z_0, alpha = rig(np.random.default_rng(4), 4, 2)
+    mean = np.stack([z_0, *alpha.T], axis=1)
+    parts = np.stack([mean.real, mean.imag])
+    root = 1e-3 * np.abs(mean) * np.eye(parts.size).reshape(parts.size, *parts.shape)
+    stored = {"planes": ["l", "r"], "readings": list("abcd"), "mean": (1e-6 * parts).ravel().tolist()}
+    stored["root"] = np.moveaxis(1e-6 * root, 0, -1).ravel().tolist()
+    # The model is per kg m, the weights are of g mm.
+    scale = np.array([1.0, 1e6, 1e6])
+    stored["mean"] = (np.reshape(stored["mean"], parts.shape) * scale).ravel().tolist()
+    stored["root"] = (np.reshape(stored["root"], (*parts.shape, -1)) * scale[:, None]).ravel().tolist()
+    (tmp_path / "m.json").write_text(json.dumps({"rotor_system": {"balance": {"influence": stored}}}))
+    runs, back = [], np.exp(-1j * np.deg2rad(turned))
+    for weight in (0.0, 3.0):
+        z = (z_0 + alpha[:, 0] * weight) * back
+        z, w = z.conj() if mirrored else z, weight * (back if with_weights else 1.0)
+        texts = [f"{abs(v):.9f} um at {np.degrees(np.angle(v)):.9f} deg" for v in z]
+        runs.append({"readings": dict(zip("abcd", texts, strict=True))})
+        if weight:
+            runs[-1]["weights"] = {"l": f"{abs(w)} g.mm at {np.degrees(np.angle(w)):.9f} deg"}
+    file = {"model": "m.json", "repeatability": "1 %", "planes": ["l", "r"], "runs": runs}
+    (tmp_path / "b.yaml").write_text(yaml.safe_dump(file))
+    ended = labpipe("balance", tmp_path / "b.yaml")
+    assert ended.code == 0 and ("the readings agree where" in ended.out) == bool(said)
+    assert said is None or said in ended.out
+
+
 def test_readings_that_scatter_more_widen_every_interval(labpipe, tmp_path):
     """Five runs more of the example with errors of 10 % where 1 % was stated (Birge: sqrt(chi2 / dof))."""
     file = yaml.safe_load(EXAMPLE.read_text())

@@ -42,17 +42,22 @@ def fit(budget: Budget | None) -> Fit:
     )
 
 
-def test_fits_of_several_bands_are_not_one_expectation(tmp_path: Path) -> None:
-    """A sliding fit has one name for all of its bands."""
+def test_fits_of_several_bands_or_of_one_bearing_of_two_are_not_one_expectation(tmp_path: Path) -> None:
+    """A sliding fit has one name for all of its bands; one that shares its load has the totals beside it."""
     first = fit(None)
-    second = replace(first, band_hz=(9.0, 18.0))
-    write_identification(tmp_path / "earlier.json", Identification((first, second), version="1"))
+    whole = Parameter("k_total", 2500.0, "N/m", std_error=20.0, derived=True)
     limits = {"band": (60.0, 72.0), "period": 2.0, "sample_rate": 2e3, "duration": 40.0, "force_limit": 1.0}
     noise = NoiseSettings(0.02, 3e-7)
     settings = PlanSettings("sdof", **limits, noise=noise, mass=0.8, earlier="earlier.json", fit="fit")
     plan = PlanFile(tmp_path / "plan.yaml", "t", EXCITATION, settings)
-    with pytest.raises(ConfigError, match="holds 2 fits named 'fit'"):
-        plan_files(plan, cast("OutputFolder", None))
+    for fits, message in (
+        ((first, replace(first, band_hz=(9.0, 18.0))), "holds 2 fits named 'fit'"),
+        ((replace(first, parameters=(*first.parameters, whole)),), "`expected` with the values of k_total"),
+    ):
+        write_identification(tmp_path / "earlier.json", Identification(fits, version="1"))
+        with pytest.raises(ConfigError) as refused:
+            plan_files(plan, cast("OutputFolder", None))
+        assert message in str(refused.value)
 
 
 def test_without_a_budget_the_stated_errors_are_noise() -> None:

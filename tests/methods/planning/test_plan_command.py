@@ -431,6 +431,14 @@ def test_refusals_name_place_and_remedy(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_single_shaker_moves_its_own_direction(labpipe: Command, tmp_path: Path) -> None:
+    entries = {**PEDESTAL, "shakers": ["z"]}
+    ended = labpipe("plan", _write(tmp_path, entries), "-o", tmp_path / "out")
+    assert ended.code == 0, ended.err
+    channels = yaml.safe_load((tmp_path / "out" / "rig.yaml").read_text())["channels"]
+    assert [channel["dof"] for channel in channels.values()] == ["z", "z"]
+
+
 def test_another_file_is_no_plan(tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text('{"schema": "labpipe/identification/1"}', encoding="utf-8")
     with pytest.raises(DataError, match="is not a readable plan"):
