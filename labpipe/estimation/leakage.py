@@ -437,7 +437,8 @@ def _force_products(left: ComplexArray, right: ComplexArray, ratios: FloatArray)
     """
     products = left.transpose(0, 3, 2, 1) @ right.conj().transpose(0, 3, 1, 2)
     by_force = np.einsum("kiop,ij,jl->kojpl", products, ratios, np.eye(len(ratios)), optimize=True)
-    return by_force.reshape(len(left), left[0, 0].size, -1)
+    n = left.shape[2] * left.shape[3]
+    return by_force.reshape(-1, n, n)
 
 
 def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:

@@ -169,7 +169,7 @@ class FitSettings(Settings):
         VISCOUS,
     )
     fixed: tuple[tuple[str, float], ...] = setting(
-        "coefficients", "coefficients that are given, by name", default=()
+        "coefficients", "coefficients that are given, by name", default=(), may_be_empty=True
     )
     tied: tuple[tuple[str, ...], ...] = setting(
         "groups", "lists of coefficients that have one value", default=()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from math import inf
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
@@ -78,7 +79,7 @@ class ImpactSettings(Settings):
     decay: float | None = quantity("time constant of the exponential window; default: none", "s", None)
     double_hit: float = quantity("a second push above this share of the peak is a double hit", "1", 0.1)
     reject: tuple[int, ...] = setting(
-        "names", "numbers of hits that are left out, counted from 1", default=()
+        "names", "numbers of hits that are left out, counted from 1", default=(), may_be_empty=True
     )
 
     def __post_init__(self) -> None:
@@ -123,7 +124,11 @@ class FrfSettings(Settings):
     settle: float | None = quantity(
         "time dropped after each step (stepped-sine); default: until the transient is in the noise", "s", None
     )
-    smooth: int = integer("noise is averaged over this many lines to either side (periodic)", 5)
+    smooth: int = integer(
+        "noise is averaged over this many lines to either side (periodic), or as many as it needs of them "
+        "(stepped-sine)",
+        5,
+    )
     block: float | None = quantity("length of one block (random, impact)", "s", None)
     window: str = text("window of random data: any name of scipy.signal.get_window", "hann")
     overlap: float = quantity("overlap of neighbouring blocks (random)", "1", 0.5)
@@ -139,7 +144,7 @@ class FrfSettings(Settings):
         "lines to either side that they span; default: as many as the noise needs", None
     )
     band: tuple[float, float] | None = setting("band", "frequencies kept", "Hz", None)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", "Hz", ())
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", "Hz", (), may_be_empty=True)
     mask: MaskSettings | None = section("lines of the shaft speed left out", MaskSettings, None)
     remove: ShaftLines | None = section(
         "part synchronous with the shaft, taken out of all channels (periodic, random, impact)",
@@ -186,13 +191,12 @@ class FrfSettings(Settings):
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
 
     def _check_bands(self) -> None:
-        """Lines of the shaft join what is excluded; they may lie anywhere."""
-        if not (self.exclude and self.band) or self.mask is not None or self.remove is not None:
-            return
-        low, high = self.band
-        if all(last < low or first > high for first, last in self.exclude):
-            what = f"'exclude' leaves nothing out of the band of {low:g} to {high:g} Hz"
-            raise SettingError("exclude", what, "leave it out, or correct its unit")
+        low, high = self.band or (0.0, inf)
+        for first, last in self.exclude:
+            if last < low or first > high:
+                what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
+                what = f"{what} of {low:g} to {high:g} Hz"
+                raise SettingError("exclude", what, "leave it out, or correct its unit")
 
     def _check_keys(self) -> None:
         idle: tuple[str, ...] = ()

@@ -107,8 +107,6 @@ class MatrixSettings(Settings):
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not self.over:
-            raise ConfigError("'over' names no condition", hint="over: [speed, load]")
         for names, what in ((self.over, "over"), (self.beside, "beside"), (self.parameters, "parameters")):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:

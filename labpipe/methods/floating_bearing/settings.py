@@ -359,7 +359,9 @@ class DynamicStiffnessSettings(Settings):
     baseline_damping: Uncertain | None = setting(
         "uncertain", "of what holds the stator, in x and y", "N.s/m", None
     )
-    band_width: float | None = quantity("form bands: width of one; default: a tenth of the band", "Hz", None)
+    band_width: float | None = quantity(
+        "form bands: about the width of one, all alike; default: a tenth", "Hz", None
+    )
     forms: tuple[str, ...] = setting(
         "names", "forms that `compare` holds against each other", default=COMPARED
     )
@@ -394,8 +396,6 @@ class DynamicStiffnessSettings(Settings):
         ):
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
-        if not self.forms:
-            raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
         for form in self.forms:
             if form not in FORMS:
                 raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))

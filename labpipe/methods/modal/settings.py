@@ -21,7 +21,9 @@ class ModalSettings(Settings):
     """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
 
     order: tuple[int, int] = setting(
-        "span", "highest order of the stabilisation diagram, or lowest and highest", default=(1, 60)
+        "span",
+        "highest order of the stabilisation diagram, or lowest and highest; at most a quarter of the lines",
+        default=(1, 60),
     )
     poles: tuple[float, ...] = setting(
         "values", "natural frequencies chosen by hand, or auto", "Hz", (), choices=("auto",)

@@ -250,6 +250,9 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)
     for first, last in settings.exclude:
+        if last < low or first > high:
+            what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
+            raise SettingError("exclude", what, "leave it out, or correct its unit")
         kept &= (frequency < first) | (frequency > last)
     if settings.speed is not None:
         kept &= np.abs(frequency - settings.speed) > 1.001 / settings.period

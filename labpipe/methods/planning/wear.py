@@ -97,8 +97,8 @@ class WearPlanSettings(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("duration", "sample_rate", "force", "run", "block")
-        check_distinct(self, "speeds", "bands", *(["loads"] if self.loads else []))
-        if min(self.speeds, default=0.0) <= 0:
+        check_distinct(self, "speeds", "bands", "loads")
+        if min(self.speeds) <= 0:
             raise SettingError("speeds", "speeds are positive")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
             raise SettingError("bands", "bands lie between 0 and half the sampling rate")

@@ -189,14 +189,20 @@ class RunUpSettings(Settings):
         "names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint")
     )
     metamodels: tuple[str, ...] = setting(
-        "names", f"of coefficients over load and speed: {', '.join(METAMODELS)}", default=()
+        "names",
+        f"of coefficients over load and speed: {', '.join(METAMODELS)}",
+        default=(),
+        may_be_empty=True,
     )
     metamodels_of: str = choice("the method whose coefficients they are fitted to", tuple(METHODS), "joint")
     plane: str = text("plane of the critical speeds; default: the last one")
     bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
     ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
     known: tuple[str, ...] = setting(
-        "names", f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", default=()
+        "names",
+        f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}",
+        default=(),
+        may_be_empty=True,
     )
     search: str = choice("how amplitudes are fitted", SEARCHES, "pattern")
     starts: int = integer("starts of that search at one load and speed, to show their spread", 20)
@@ -236,8 +242,6 @@ class RunUpSettings(Settings):
         needed = {self.metamodels_of} if self.metamodels else set()
         if "physical" in self.metamodels:
             needed.add("joint")
-        if not self.methods:
-            raise SettingError("methods", "nothing is fitted", f"known: {', '.join(METHODS)}")
         for name in sorted(needed - set(self.methods)):
             what = f"metamodels need the method '{name}', which is not fitted"
             raise SettingError("metamodels", what, f"add {name} to run_ups.methods")

@@ -499,7 +499,7 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
         ({"rotor_stiffness": 1e6}, "'rotor_stiffness' goes with a rotor's mass"),
         ({"viscosity": 0.03}, "'viscosity' goes with a clearance"),
         ({"viscosity": 0.03, "clearance": 1e-4, "length": 0.1}, "'viscosity' goes with a diameter"),
-        ({"forms": ()}, "'forms' names none"),
+        ({"forms": ()}, "forms: is empty"),
         ({"band_width": "10 Hz"}, "'band_width' goes with form: bands"),
         ({"form": "bands", "band_width": "0 Hz"}, "band_width must be positive"),
         ({"forms": ["kc", "pads"]}, "'pads' cannot be compared"),
