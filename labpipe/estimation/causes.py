@@ -279,7 +279,7 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-# The chi-square that a delay leaves, its channel and the finding; differences below it tell nothing apart.
+# The chi-square that a delay leaves, its channel and the finding; what tells two apart.
 Delay = tuple[float, str, Finding]
 APART = 10.0
 

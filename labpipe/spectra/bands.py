@@ -41,16 +41,13 @@ MOST_BEYOND = 0.1
 
 
 def settings_findings(frequency: FloatArray, settings: FrfSettings) -> tuple[Finding, ...]:
-    """Notes of bands that do otherwise than written: that of the settings reaches far beyond the lines
-    *frequency* (n_line,) [Hz] and what is excluded beside them, or an excluded one holds none.
+    """Notes where the settings' band reaches far beyond the lines *frequency* (n_line,) [Hz] and what is
+    excluded beside them, or, without one, where an excluded band lies beyond.
     """
-    low, high = float(frequency[0]), float(frequency[-1])
-    empty = [gap for gap in settings.exclude if settings.band is None and gap[0] > high]
-    named = ", ".join(f"{first:g}-{last:g} Hz" for first, last in empty)
-    what = f"lines lie from {low:g} to {high:g} Hz, and `exclude` of {named} leaves nothing out"
-    ends = np.array([low, high, *np.ravel(settings.exclude)])
-    beyond = () if settings.band is None else beyond_finding(np.sort(ends), settings.band)
-    return (*beyond, *([note("band-beyond", what)] if empty else []))
+    bands = [gap for gap in settings.exclude if gap[0] > frequency[-1]]
+    if settings.band is not None:
+        bands, frequency = [settings.band], np.sort([*frequency[[0, -1]], *np.ravel(settings.exclude)])
+    return tuple(finding for band in bands for finding in beyond_finding(frequency, band))
 
 
 def beyond_finding(frequency: FloatArray, band: tuple[float, float]) -> tuple[Finding, ...]:

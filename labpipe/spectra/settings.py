@@ -37,6 +37,15 @@ RESULTS = ("response", "spectra")
 DETRENDS, LOCALS = ("constant", "linear", "none"), ("none", "polynomial")
 
 
+def check_excluded(gaps: tuple[tuple[float, float], ...], band: tuple[float, float]) -> None:
+    """SettingError for one of the *gaps* [Hz] that lies outside of the *band* [Hz]."""
+    for first, last in gaps:
+        if last < band[0] or first > band[1]:
+            what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
+            what = f"{what} of {band[0]:g} to {band[1]:g} Hz"
+            raise SettingError("exclude", what, "leave it out, or correct its unit")
+
+
 @dataclass(frozen=True)
 class ShaftLines(Settings):
     """Lines of a rotating shaft: its speed or its tacho channel, and the number of harmonics."""
@@ -184,19 +193,11 @@ class FrfSettings(Settings):
             raise SettingError("impact", what, hint)
         self._check_local()
         self._check_result()
-        self._check_bands()
+        check_excluded(self.exclude, self.band or (0.0, inf))
         self.require_not_negative("settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
             what = f"'mask' needs its 'width' with {self.excitation}"
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
-
-    def _check_bands(self) -> None:
-        low, high = self.band or (0.0, inf)
-        for first, last in self.exclude:
-            if last < low or first > high:
-                what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
-                what = f"{what} of {low:g} to {high:g} Hz"
-                raise SettingError("exclude", what, "leave it out, or correct its unit")
 
     def _check_keys(self) -> None:
         idle: tuple[str, ...] = ()

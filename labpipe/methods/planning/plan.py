@@ -48,6 +48,7 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.excitation import peaks
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.uncertain import Budget
+from labpipe.spectra.settings import check_excluded
 
 FEWEST_PERIODS = 3
 # Of one period: a search over more lines takes hours.
@@ -249,10 +250,8 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)
+    check_excluded(settings.exclude, settings.band)
     for first, last in settings.exclude:
-        if last < low or first > high:
-            what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
-            raise SettingError("exclude", what, "leave it out, or correct its unit")
         kept &= (frequency < first) | (frequency > last)
     if settings.speed is not None:
         kept &= np.abs(frequency - settings.speed) > 1.001 / settings.period
