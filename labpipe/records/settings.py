@@ -365,12 +365,12 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
 }
 
 
-# A list or mapping of nothing would be taken for one that is left out, which often means all.
-EMPTY = "is empty", "leave it out, or say what it holds"
+# A list of nothing would be taken for one left out, which often means all.
+EMPTY = "is empty", "leave it out, or fill it"
 
 
 def is_empty(value: Any, declared: Setting) -> bool:
-    """Whether a field that needs an entry has none; UnitError(*EMPTY) says so."""
+    """Whether a field that needs an entry has none."""
     no_entry = isinstance(value, (list, tuple, dict)) and not value
     return no_entry and declared.kind != "section" and not declared.may_be_empty
 

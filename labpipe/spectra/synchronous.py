@@ -489,7 +489,7 @@ def without_shaft(
 
 
 def _without_lines(settings: FrfSettings, bands: Iterable[tuple[float, float]], most: float) -> FrfSettings:
-    # Lines of the shaft may lie anywhere, what is excluded by hand lies in the band.
+    # Lines of the shaft may lie anywhere, what is excluded lies in the band.
     least, most = settings.band or (0.0, most)
     inside = (gap for gap in bands if gap[0] <= most and gap[1] >= least)
     return replace(settings, exclude=(*settings.exclude, *inside))

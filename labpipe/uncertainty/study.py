@@ -81,13 +81,11 @@ class StudySettings(Settings):
         if self.repeats < FEWEST_REPEATS:
             what = f"'repeats' must be at least {FEWEST_REPEATS}"
             raise ConfigError(what, hint="500 give the coverage to 1 %")
-        if min(self.noise) <= 0:
-            raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
         if any(count != round(count) or count < 2 for count in self.lines):
             raise ConfigError("'lines' needs whole numbers of at least 2")
         if any(len(values) != len(self.noise) for _, values in self.printed):
             raise ConfigError("'printed' needs one value for each noise level")
-        self.require_positive("success")
+        self.require_positive("noise", "success")
         self.require_share("share")
 
 

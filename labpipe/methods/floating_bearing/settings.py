@@ -384,11 +384,10 @@ class DynamicStiffnessSettings(Settings):
     def __post_init__(self) -> None:
         if self.baseline and (self.baseline_stiffness or self.baseline_damping):
             raise SettingError("baseline", "'baseline' is given twice", "a fit, or numbers")
-        if self.stator_mass is not None and self.stator_mass.value < 0:
-            raise SettingError("stator_mass", "'stator_mass' is negative")
-        if self.rotor_mass is not None and self.rotor_mass.value <= 0:
-            raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
-        self.require_positive("band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD)
+        self.require_not_negative("stator_mass")
+        self.require_positive(
+            "rotor_mass", "band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD
+        )
         for name, of, other in (
             ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
             *((name, "a clearance", "clearance") for name in ("load", *OF_SOMMERFELD)),

@@ -53,9 +53,7 @@ class ModalSettings(Settings):
         if highest < max(LEAST_ORDER, lowest):
             what = f"the highest 'order' is {highest}, the lowest {lowest}"
             raise ConfigError(what, hint=f"{LEAST_ORDER} or more, and the lowest first: 2-60", field="order")
-        if any(pole <= 0 for pole in self.poles):
-            raise ConfigError("'poles' must be positive", field="poles")
-        self.require_positive("moving_mass")
+        self.require_positive("poles", "moving_mass")
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

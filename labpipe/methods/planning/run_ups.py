@@ -152,12 +152,10 @@ class RunUpPlanSettings(Settings):
             self._check_rotor(self.rig)
 
     def _check_signs(self) -> None:
-        self.require_positive("step", "dwell", "duration", "at_load", "at_speed")
+        self.require_positive("loads", "step", "dwell", "duration", "at_load", "at_speed")
         self.require_positive("displacement_limit", "journal_limit")
         check_distinct(self, "loads")
         self.require_not_negative("changeover")
-        if min(self.loads) <= 0:
-            raise SettingError("loads", "loads are positive")
         steps = (self.speeds[1] - self.speeds[0]) / self.step
         if abs(steps - round(steps)) > 1e-6 * steps:
             what = f"the speeds are {steps:.6g} steps from end to end"

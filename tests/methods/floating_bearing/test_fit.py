@@ -494,8 +494,8 @@ def test_one_run_is_not_enough_for_least_squares() -> None:
     ("keys", "message"),
     [
         ({"baseline": "dry", "baseline_stiffness": "1 MN/m"}, "'baseline' is given twice"),
-        ({"stator_mass": "-1 kg"}, "'stator_mass' is negative"),
-        ({"rotor_mass": "0 kg"}, "'rotor_mass' is that of a rotor"),
+        ({"stator_mass": "-1 kg"}, "stator_mass must not be negative"),
+        ({"rotor_mass": "0 kg"}, "rotor_mass must be positive"),
         ({"rotor_stiffness": 1e6}, "'rotor_stiffness' goes with a rotor's mass"),
         ({"viscosity": 0.03}, "'viscosity' goes with a clearance"),
         ({"viscosity": 0.03, "clearance": 1e-4, "length": 0.1}, "'viscosity' goes with a diameter"),

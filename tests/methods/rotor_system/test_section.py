@@ -190,7 +190,7 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
         ({"tests.4.fit": "x"}, "rotor_system.tests", "'fit' is of kind modes or response"),
         ({"tests.4.mass": "33 kg"}, "rotor_system.tests", "'mass' needs its uncertainty"),
         ({"tests.1.speed": "-10 Hz"}, "rotor_system.tests.2.speed", "speed must not be negative"),
-        ({"rotor_system": {"speeds": "0-100 Hz"}}, "rotor_system.speeds", "must begin above zero"),
+        ({"rotor_system": {"speeds": "0-100 Hz"}}, "rotor_system.speeds", "must be positive"),
         ({"tests.1.places": {"d9": "3 y"}}, "rotor_system", "test 'shaken y': places: no dof or plane 'd9'"),
         ({"tests.1.frequencies": ["60 Hz +- 1 Hz", "44 Hz +- 1 Hz"]}, "frequencies", "begin with the lowest"),
         (
@@ -203,7 +203,7 @@ def test_trial_runs_are_taken_together_with_it(result, labpipe, tmp_path) -> Non
             "rotor_system.tests.5.deflections",
             "'5z/10z' appears twice",
         ),
-        ({"rotor_system": {"balance_speeds": ["0 Hz"]}}, "rotor_system.balance_speeds", "above zero"),
+        ({"rotor_system": {"balance_speeds": ["0 Hz"]}}, "rotor_system.balance_speeds", "must be positive"),
         ({"rotor_system": {"small_errors": {"phase": "-1 deg"}}}, "phase", "must not be negative"),
     ],
 )
