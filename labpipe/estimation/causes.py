@@ -279,9 +279,27 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-def likeliest_delay(
-    measured: Measured, model: DynamicModel, values: FloatArray
-) -> tuple[float, str, Finding] | None:
+# The chi-square that a delay leaves, its channel and the finding; what tells two apart.
+Delay = tuple[float, str, Finding]
+APART = 10.0
+
+
+def either_delay(measured: Measured, model: FittedModel, values: FloatArray, viscous: Delay) -> Delay:
+    """The delay beside *viscous* damping, or that beside the loss factor of *model*, which turns phases too,
+    from its *values* (n_parameter,) [parameter units]; both where the data support both.
+    """
+    late = dict(late_channels(measured))[viscous[1]]
+    problem = OutputError(measured, DelayedModel(model, late), whitener(measured))
+    fitted = _delay(measured, model, values, problem, np.append(values, 0.0), viscous[1])
+    if fitted is None or fitted[0] > viscous[0] + APART:
+        return viscous
+    message = f"with a loss factor in place of viscous damping {fitted[1].message}"
+    if fitted[0] > viscous[0] - APART:
+        message = f"{viscous[2].message}. Or, and the data do not tell these apart, {message}"
+    return min(viscous[0], fitted[0]), viscous[1], Finding("delay", message)
+
+
+def likeliest_delay(measured: Measured, model: DynamicModel, values: FloatArray) -> Delay | None:
     """The chi-square [1] that a delay leaves of a residual that is far from noise, its channel, and the
     finding; *values* (n_parameter,) [parameter units] of the fit.
 
@@ -372,7 +390,7 @@ def late_channels(measured: Measured) -> list[tuple[str, BoolArray]]:
 
 def _delay(
     measured: Measured,
-    model: DynamicModel,
+    model: FittedModel,
     values: FloatArray,
     problem: OutputError[DelayedModel],
     start: FloatArray,

@@ -214,9 +214,7 @@ def _may_have_residuals(setup: Setup) -> bool:
 def _driving_mode(
     setup: Setup, measured: Measured, estimate: Estimate, band: Band
 ) -> tuple[DrivingMode, Estimate, str] | None:
-    """The mode with residual terms, its estimate and a note, where a driving point gives a mode with them
-    alone; else None.
-    """
+    """The mode with residual terms, its estimate and a note, where a mode needs them; else None."""
     if not _may_have_residuals(setup) or transfer_of(setup) or setup.settings.sliding is not None:
         return None
     k, _, m = estimate.values[:3]
@@ -512,10 +510,9 @@ def _contradict(
 
 def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw]) -> dict[str, Finding]:
     """Findings by the cause of the residual that they name: channels of a response to a force taken for
-    others, or a channel that is late; else under "" on a mass without uncertainty: a channel that is late
-    makes any mass look wrong. Delay and mass are of a model linear in its parameters, responses of reliable
-    phase to a force, a mass without uncertainty. A delay is not named where the first of *laws* is better
-    supported, and with it where that has support as well.
+    others, or a channel that is late; else under "" on a mass without uncertainty: a late channel makes any
+    mass look wrong. Both are of a model linear in its parameters, of reliable phases. A delay is not named
+    where the first of *laws* is better supported, and with it where that has support as well.
     """
     settings, model, estimate = case.setup.settings, case.model, case.estimate
     # What stated numbers explain needs no other cause.
@@ -524,10 +521,9 @@ def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw
     if is_rejected and (misread := diagnostics.reading_findings(case.measured, case.setup, estimate)):
         return misread
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
-    is_sound = settings.estimates.phase and estimate.converged and not has_error
-    if not is_sound or not isinstance(model, DynamicModel):
+    if has_error or not (settings.estimates.phase and estimate.converged and isinstance(model, DynamicModel)):
         return {}
-    delay = causes.likeliest_delay(case.measured, model, estimate.values) if is_rejected else None
+    delay = _likeliest_delay(case, model) if is_rejected else None
     of_law = laws[0].aic - 2 * (estimate.values.size + 1) if laws else np.inf
     if delay is not None and delay[0] < of_law + comparison.NO_SUPPORT:
         left, channel, finding = delay
@@ -537,6 +533,16 @@ def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw
         return {f"a delay of {channel} or {laws[0].words}": replace(finding, message=also)}
     masses = causes.mass_findings(case.measured, model, estimate.values, case.setup, judged.stated)
     return {"": masses[0]} if masses else {}
+
+
+def _likeliest_delay(case: Case, model: DynamicModel) -> causes.Delay | None:
+    delay, setup = causes.likeliest_delay(case.measured, model, case.estimate.values), case.setup
+    with contextlib.suppress(ConfigError, FitError, np.linalg.LinAlgError):
+        if delay is not None and setup.settings.kind.one_frf:
+            other = _model(replace(setup, settings=replace(setup.settings, damping=HYSTERETIC.name)))
+            start = _estimate(case.measured, other, setup.settings)
+            delay = causes.either_delay(case.measured, other, start.values, delay)
+    return delay
 
 
 def _refit(setup: Setup, model: derived.BandModel, measured: Measured) -> tuple[Parameter, ...]:

@@ -385,7 +385,9 @@ def leaking_noise(
     # Power of every force over that of each, by the noise of H, which is over it.
     _, n_output, n_input = measured.matrix.shape
     variance = np.einsum("lii->li", measured.covariance).real.reshape(-1, n_output, n_input)
-    power = np.median(variance[:, :, :1] / variance, axis=(0, 1))
+    # Against the mean of all forces, not one of them: their order is none of the data.
+    size = np.log(variance)
+    power = np.exp(np.median(np.mean(size, axis=2, keepdims=True) - size, axis=(0, 1)))
     ratios = np.outer(power, 1 / power)
     alone = np.eye(len(ratios))
     of_residual = alone if blocks.apart else ratios
@@ -393,8 +395,10 @@ def leaking_noise(
     # What responses share is not in the variances of a table, yet they share what leaks.
     apparent *= np.any(measured.covariance != 0, axis=0) / measured.noise_dof
     noise = _noise_beside(measured.covariance, apparent)
-    white = np.asarray(np.linalg.inv(np.linalg.cholesky(noise + apparent)), np.complex128)
-    of_noise = white @ np.linalg.cholesky(noise)
+    # As the rows of a fit are whitened, and from there by roots that turn with the order of the channels.
+    white = np.asarray(np.linalg.inv(np.linalg.cholesky(measured.covariance)), np.complex128)
+    white = _power(white @ (noise + apparent) @ hermitian(white), -0.5) @ white
+    of_noise = white @ _power(noise, 0.5)
     pairs = []
     for distance, shared in enumerate([1.0, *leakage.correlation.tolist(), 0.0]):
         first, second = leakage.pairs(distance)
@@ -440,7 +444,8 @@ def _force_products(left: ComplexArray, right: ComplexArray, ratios: FloatArray)
     """
     products = left.transpose(0, 3, 2, 1) @ right.conj().transpose(0, 3, 1, 2)
     by_force = np.einsum("kiop,ij,jl->kojpl", products, ratios, np.eye(len(ratios)), optimize=True)
-    return by_force.reshape(len(left), left[0, 0].size, -1)
+    n = left.shape[2] * left.shape[3]
+    return by_force.reshape(-1, n, n)
 
 
 def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexArray:
@@ -459,9 +464,14 @@ def _noise_beside(covariance: ComplexArray, apparent: ComplexArray) -> ComplexAr
 def _positive(noise: ComplexArray, whole: ComplexArray) -> ComplexArray:
     """The noise (n_line, n, n) without negative parts: at least SMALLEST_NOISE of the *whole*."""
     sizes = _sizes(whole)
-    values, vectors = np.linalg.eigh(without_rounding(noise / sizes))
-    raised = np.maximum(values, SMALLEST_NOISE)
-    return (vectors * raised[:, None, :]) @ hermitian(vectors) * sizes
+    return _power(without_rounding(noise / sizes), 1.0, SMALLEST_NOISE) * sizes
+
+
+def _power(matrices: ComplexArray, exponent: float, least: float = 0.0) -> ComplexArray:
+    """Hermitian *matrices* (n_line, n, n) to a power, their eigenvalues *least* or more."""
+    values, vectors = np.linalg.eigh(matrices)
+    raised = np.maximum(values, least) ** exponent
+    return (vectors * raised[:, None, :]) @ hermitian(vectors)
 
 
 def _sizes(covariance: ComplexArray) -> FloatArray:

@@ -127,6 +127,9 @@ class Sliding(Settings):
     width: float = quantity("width of one band", "Hz")
     step: float = quantity("distance between the centres of neighbouring bands", "Hz")
 
+    def __post_init__(self) -> None:
+        self.require_positive("width", "step")
+
 
 @dataclass(frozen=True)
 class Support(Settings):
@@ -174,7 +177,7 @@ class FitSettings(Settings):
         VISCOUS,
     )
     fixed: tuple[tuple[str, float], ...] = setting(
-        "coefficients", "coefficients that are given, by name", default=()
+        "coefficients", "coefficients that are given, by name", default=(), may_be_empty=True
     )
     tied: tuple[tuple[str, ...], ...] = setting(
         "groups", "lists of coefficients that have one value", default=()
@@ -295,13 +298,10 @@ class FitSettings(Settings):
             _refuse(self.kind.of_base and free_mass and there, key, what, "for example mass: 0.92 kg")
 
     def _check_bands(self) -> None:
-        sliding, ports = self.sliding, self.input or self.output
-        what = "width and step of sliding bands must be positive"
-        _refuse(sliding and min(sliding.width, sliding.step) <= 0, "sliding", what)
         what = "'bands' goes with neither 'band' nor 'sliding'"
         _refuse(self.bands and (self.band or self.sliding), "bands", what, "name all bands under bands")
         hint = "leave out band, bands, sliding, input and output"
-        twice = self.peaks and (self.band or self.bands or self.sliding or ports)
+        twice = self.peaks and (self.band or self.bands or self.sliding or self.input or self.output)
         _refuse(twice, "peaks", "'peaks' names bands and ports by itself", hint)
 
 

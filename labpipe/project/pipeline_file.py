@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labpipe.errors import ConfigError, SettingError
-from labpipe.estimation.settings import MODELS, FitSettings, check_kind, model_kind
+from labpipe.estimation.settings import FEWEST, MODELS, FitSettings, check_kind, model_kind
 from labpipe.project.calibrations import readable_result
 from labpipe.project.ingest import SourceFile
 from labpipe.project.marked_yaml import Marked, load_marked, text_of
@@ -79,6 +79,9 @@ class UncertaintySettings(Settings):
         if self.draws != UncertaintySettings.draws and self.method == METHODS[0]:
             hint = "method: monte-carlo, or leave it out"
             raise SettingError("draws", "'draws' are of method monte-carlo", hint)
+        if self.draws < FEWEST["monte_carlo"]:
+            what = f"{self.draws} draws give no 95 % interval"
+            raise SettingError("draws", what, f"at least {FEWEST['monte_carlo']}")
 
     def of(
         self, fit: FitSettings, stated: Container[str], repeats: tuple[RepeatSource, ...] = ()
@@ -259,7 +262,9 @@ RESULTS = ("whole", "dataset")
 class ReportSettings(Settings):
     """The ``report:`` section."""
 
-    formats: tuple[str, ...] = setting("names", "formats written by `labpipe run`", default=("html",))
+    formats: tuple[str, ...] = setting(
+        "names", "formats written by `labpipe run`", default=("html",), may_be_empty=True
+    )
 
     def __post_init__(self) -> None:
         for name in self.formats:

@@ -19,7 +19,15 @@ from labpipe.errors import ConfigError, ConfigErrors
 from labpipe.project.marked_yaml import Marked, text_of
 from labpipe.quantities import UnitError
 from labpipe.records.rig import Rig
-from labpipe.records.settings import CONVERTERS, FileKind, Setting, settings_of, takes_uncertainty
+from labpipe.records.settings import (
+    CONVERTERS,
+    EMPTY,
+    FileKind,
+    Setting,
+    is_empty,
+    settings_of,
+    takes_uncertainty,
+)
 from labpipe.records.uncertain import is_uncertain, parse_uncertain
 from labpipe.registry import Registry, nearest
 
@@ -289,6 +297,9 @@ def read_setting(node: Marked, setting: Setting, key: str, faults: Faults) -> An
     """One value of the setting's kind; None and a fault where it cannot be read or is still to be decided."""
     if node.text == DECIDE:
         faults.add(node, key, "is still to be decided", setting.help)
+        return None
+    if is_empty(node.content, setting):
+        faults.add(node, key, *EMPTY)
         return None
     if setting.section is not None:
         if setting.kind == "section":

@@ -88,8 +88,9 @@ class Setting:
     """Declaration of a settings field: its kind, SI unit, choices, and one line of help.
 
     A file: *file_kind* says what it holds ("rotor"), and its content is read into the field *into* of the
-    same dataclass. *needed*: a file must give it, although the dataclass has a default. *before*: its key in
-    the version before, which is still read.
+    same dataclass. *needed*: a file must give it, although the dataclass has a default. *may_be_empty*: a
+    list of nothing says something else than no list. *before*: its key in the version before, which is still
+    read.
     """
 
     kind: str
@@ -101,6 +102,7 @@ class Setting:
     file_kind: str = ""
     into: str = ""
     needed: bool = False
+    may_be_empty: bool = False
     before: str = ""
 
 
@@ -156,8 +158,7 @@ def to_bands(value: Any, setting: Setting) -> tuple[Band, ...]:
 
 def to_peaks(value: Any, setting: Setting) -> tuple[tuple[str, tuple[Band, ...]], ...]:
     """{x: 700-1100 Hz, z: [300-500 Hz, 900-950 Hz]} -> (("x", ((700.0, 1100.0),)), ...)."""
-    # An empty tuple is the default; an empty mapping of a file is a slip.
-    pairs = _pairs(None if value == {} else value, "dofs to bands", "{x: 700-1100 Hz}", "(a mapping)")
+    pairs = _pairs(value, "dofs to bands", "{x: 700-1100 Hz}")
     return tuple((name, to_bands(entry, setting)) for name, entry in pairs)
 
 
@@ -300,8 +301,7 @@ def parse_phasor(text: str, unit: str) -> complex:
 
 def to_groups(value: Any, setting: Setting) -> tuple[tuple[str, ...], ...]:
     """A list of lists of names, or one list."""
-    # An empty tuple is the default; an empty list of a file is a slip.
-    if not _is_list(value) or value == []:
+    if not _is_list(value):
         what = f"'{_text_of(value)}' is not a list of names"
         raise UnitError(what, "write for example [[k_xx, k_yy], [c_xx, c_yy]]")
     entries = list(value)
@@ -365,6 +365,16 @@ CONVERTERS: dict[str, Callable[[Any, Setting], Any]] = {
 }
 
 
+# A list of nothing would be taken for one left out, which often means all.
+EMPTY = "is empty", "leave it out, or fill it"
+
+
+def is_empty(value: Any, declared: Setting) -> bool:
+    """Whether a field that needs an entry has none."""
+    no_entry = isinstance(value, (list, tuple, dict)) and not value
+    return no_entry and declared.kind != "section" and not declared.may_be_empty
+
+
 def _text(value: Any, wanted: str) -> str:
     if not isinstance(value, str):
         raise UnitError(f"'{_text_of(value)}' is not {wanted}")
@@ -383,7 +393,7 @@ def _is_pair_of_numbers(value: Any) -> bool:
     )
 
 
-def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tuple[str, Any]]:
+def _pairs(value: Any, of: str, example: str = "") -> list[tuple[str, Any]]:
     """The pairs of a mapping *of* names to something, or of a tuple of pairs; UnitError for anything else."""
     if isinstance(value, Mapping):
         return list(value.items())
@@ -392,7 +402,7 @@ def _pairs(value: Any, of: str, example: str = "", shown: str = "") -> list[tupl
     ):
         return list(value)
     hint = f"write for example {example}" if example else ""
-    raise UnitError(f"'{shown or _text_of(value)}' is not a mapping of {of}", hint)
+    raise UnitError(f"'{_text_of(value)}' is not a mapping of {of}", hint)
 
 
 def _text_of(value: Any) -> str:
@@ -481,6 +491,8 @@ def convert_fields(settings: Any) -> None:
         try:
             if takes_uncertainty(owner, declared) and is_uncertain(value):
                 value = _note(settings, name, parse_uncertain(value, declared.unit))
+            if is_empty(value, declared):
+                raise UnitError(*EMPTY)
             object.__setattr__(settings, name, CONVERTERS[declared.kind](value, declared))
         except UnitError as error:
             raise SettingError(name, f"{name}: {error.what}", error.hint) from None
@@ -545,9 +557,9 @@ def text(help: str, default: str | None = "") -> Any:
     return setting("text", help, default=default)
 
 
-def names(help: str) -> Any:
+def names(help: str, *, may_be_empty: bool = False) -> Any:
     """A dataclass field of one name or several, none by default: a setting of the kind names."""
-    return setting("names", help, default=())
+    return setting("names", help, default=(), may_be_empty=may_be_empty)
 
 
 def choice(help: str, choices: tuple[str, ...], default: Any = MISSING) -> Any:

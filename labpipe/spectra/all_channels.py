@@ -17,6 +17,7 @@ from labpipe.errors import DataError, SettingError
 from labpipe.records.finding import Finding
 from labpipe.records.recording import SampleSource
 from labpipe.records.spectra import ChannelSpectra
+from labpipe.spectra.bands import settings_findings
 from labpipe.spectra.channel_layout import ChannelLayout, find_channel_layout
 from labpipe.spectra.channels import in_time
 from labpipe.spectra.covariance import SAME_ERRORS, SAME_SHARE
@@ -167,7 +168,8 @@ def channel_spectra(
     aliasing = aliasing_findings(monitors, settings.band, outputs - lines.weak)
     acting = np.ones((lines.frequency.size, len(sources)), bool) if lines.acting is None else lines.acting
     excited = [lines.frequency[of_run] for of_run in acting.T]
-    shaft = (*shaft, *lines_of_shaft(sources, settings, excited))
+    of_bands = settings_findings(lines.frequency, settings)
+    shaft = (*shaft, *of_bands, *lines_of_shaft(sources, settings, excited))
     findings = (*source_findings(monitors), *short, *shaft, *aliasing, *lines.findings)
     return ChannelSpectra(
         frequency=lines.frequency,

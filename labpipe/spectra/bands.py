@@ -40,6 +40,16 @@ def lines_in(
 MOST_BEYOND = 0.1
 
 
+def settings_findings(frequency: FloatArray, settings: FrfSettings) -> tuple[Finding, ...]:
+    """Notes where the settings' band reaches far beyond the lines *frequency* (n_line,) [Hz] and what is
+    excluded beside them, or, without one, where an excluded band lies beyond.
+    """
+    bands = [gap for gap in settings.exclude if gap[0] > frequency[-1]]
+    if settings.band is not None:
+        bands, frequency = [settings.band], np.sort([*frequency[[0, -1]], *np.ravel(settings.exclude)])
+    return tuple(finding for band in bands for finding in beyond_finding(frequency, band))
+
+
 def beyond_finding(frequency: FloatArray, band: tuple[float, float]) -> tuple[Finding, ...]:
     """A note where a *band* [Hz] reaches far beyond the lines *frequency* (n_line,) [Hz]."""
     low, high = float(frequency[0]), float(frequency[-1])

@@ -14,7 +14,7 @@ from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import SampleSource
 from labpipe.records.response import FrequencyResponse, Port
-from labpipe.spectra.bands import block_samples
+from labpipe.spectra.bands import block_samples, settings_findings
 from labpipe.spectra.channel_layout import sum_errors
 from labpipe.spectra.channels import READ_SAMPLES, check_in_time, columns_of, in_time, uncertainty_findings
 from labpipe.spectra.convert import TRANSMISSIBILITY, directional
@@ -234,7 +234,8 @@ def _measure(
     parts = (joint_parts if joint else open_loop)(sources, settings, layout)
     aliasing = aliasing_findings(monitors, settings.band, _coherent_outputs(parts, layout))
     # What is folded back from above half the sampling rate comes before its cause as well.
-    of_lines = (*turned, *shaft, *aliasing, *parts.findings, *(() if aliasing else loop))
+    of_bands = settings_findings(parts.frequency, settings)
+    of_lines = (*turned, *shaft, *of_bands, *aliasing, *parts.findings, *(() if aliasing else loop))
     findings = (*source_findings(sources), *uncertainty_findings(sources), *of_lines)
     sensor_factor = layout.sensor_factor(parts.frequency)
     matrix = parts.matrix * sensor_factor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from math import inf
 
 from labpipe.errors import ConfigError, SettingError
 from labpipe.records.frf_layout import WindowedSettings
@@ -34,6 +35,15 @@ RESPONSES, DECAYS, SPECTRA = "responses", "decays", "spectra"
 # What recordings become: one response matrix, or all channels side by side with the noise of each.
 RESULTS = ("response", "spectra")
 DETRENDS, LOCALS = ("constant", "linear", "none"), ("none", "polynomial")
+
+
+def check_excluded(gaps: tuple[tuple[float, float], ...], band: tuple[float, float]) -> None:
+    """SettingError for one of the *gaps* [Hz] that lies outside of the *band* [Hz]."""
+    for first, last in gaps:
+        if last < band[0] or first > band[1]:
+            what = f"'exclude' of {first:g}-{last:g} Hz leaves nothing out of the band"
+            what = f"{what} of {band[0]:g} to {band[1]:g} Hz"
+            raise SettingError("exclude", what, "leave it out, or correct its unit")
 
 
 @dataclass(frozen=True)
@@ -77,7 +87,7 @@ class ImpactSettings(Settings):
     )
     decay: float | None = quantity("time constant of the exponential window; default: none", "s", None)
     double_hit: float = quantity("a second push above this share of the peak is a double hit", "1", 0.1)
-    reject: tuple[int, ...] = names("numbers of hits that are left out, counted from 1")
+    reject: tuple[int, ...] = names("numbers of hits that are left out, counted from 1", may_be_empty=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "reject", tuple(_hit_number(number) for number in self.reject))
@@ -121,7 +131,11 @@ class FrfSettings(Settings):
     settle: float | None = quantity(
         "time dropped after each step (stepped-sine); default: until the transient is in the noise", "s", None
     )
-    smooth: int = integer("noise is averaged over this many lines to either side (periodic)", 5)
+    smooth: int = integer(
+        "noise is averaged over this many lines to either side (periodic), or as many as it needs of them "
+        "(stepped-sine)",
+        5,
+    )
     block: float | None = quantity("length of one block (random, impact)", "s", None)
     window: str = text("window of random data: any name of scipy.signal.get_window", "hann")
     overlap: float = quantity("overlap of neighbouring blocks (random)", "1", 0.5)
@@ -137,7 +151,7 @@ class FrfSettings(Settings):
         "lines to either side that they span; default: as many as the noise needs", None
     )
     band: tuple[float, float] | None = setting("band", "frequencies kept", "Hz", None)
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", "Hz", ())
+    exclude: tuple[tuple[float, float], ...] = setting("bands", "bands left out", "Hz", (), may_be_empty=True)
     mask: MaskSettings | None = section("lines of the shaft speed left out", MaskSettings, None)
     remove: ShaftLines | None = section(
         "part synchronous with the shaft, taken out of all channels (periodic, random, impact)",
@@ -175,20 +189,11 @@ class FrfSettings(Settings):
             raise SettingError("impact", what, hint)
         self._check_local()
         self._check_result()
-        self._check_bands()
+        check_excluded(self.exclude, self.band or (0.0, inf))
         self.require_not_negative("settle")
         if self.excitation in FOUND and self.mask is not None and self.mask.width is None:
             what = f"'mask' needs its 'width' with {self.excitation}"
             raise SettingError("mask", what, "mask: {speed: 50 Hz, width: 0.5 Hz}")
-
-    def _check_bands(self) -> None:
-        """Lines of the shaft join what is excluded; they may lie anywhere."""
-        if not (self.exclude and self.band) or self.mask is not None or self.remove is not None:
-            return
-        low, high = self.band
-        if all(last < low or first > high for first, last in self.exclude):
-            what = f"'exclude' leaves nothing out of the band of {low:g} to {high:g} Hz"
-            raise SettingError("exclude", what, "leave it out, or correct its unit")
 
     def _check_keys(self) -> None:
         idle: tuple[str, ...] = ()

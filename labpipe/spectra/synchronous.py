@@ -4,7 +4,7 @@ that are fitted and subtracted; beside a periodic excitation to what is left aft
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -459,7 +459,7 @@ def without_shaft(
     lines that it falls on, or that `mask` leaves out.
     """
     remove, (masked, of_tacho) = settings.remove, masked_bands(sources, settings)
-    settings = replace(settings, exclude=(*settings.exclude, *masked))
+    settings = _without_lines(settings, masked, sources[0].sample_rate / 2)
     if remove is None:
         return list(sources), settings, (*mask_findings(masked, settings.band), *of_tacho)
     resting = [at_rest(source, remove) for source in sources]
@@ -484,8 +484,15 @@ def without_shaft(
             cleaned.append(without.source)
             bands |= dict.fromkeys(without.bands)
             findings.extend(without.findings)
-    settings = replace(settings, exclude=(*settings.exclude, *bands))
+    settings = _without_lines(settings, bands, sources[0].sample_rate / 2)
     return cleaned, settings, (*mask_findings(masked, settings.band), *of_tacho, *findings)
+
+
+def _without_lines(settings: FrfSettings, bands: Iterable[tuple[float, float]], most: float) -> FrfSettings:
+    # Lines of the shaft may lie anywhere, what is excluded lies in the band.
+    least, most = settings.band or (0.0, most)
+    inside = (gap for gap in bands if gap[0] <= most and gap[1] >= least)
+    return replace(settings, exclude=(*settings.exclude, *inside))
 
 
 def lines_of_shaft(

@@ -101,8 +101,6 @@ class MatrixSettings(Settings):
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not self.over:
-            raise ConfigError("'over' names no condition", hint="over: [speed, load]")
         for listed, what in ((self.over, "over"), (self.beside, "beside"), (self.parameters, "parameters")):
             twice = next((name for name in listed if listed.count(name) > 1), None)
             if twice is not None:

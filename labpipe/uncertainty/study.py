@@ -66,7 +66,11 @@ class StudySettings(Settings):
     success: tuple[float, ...] = setting("values", "relative deviations that count as success", "1", (0.1,))
     share: float = quantity("success rate asked for", "1", 0.95)
     printed: tuple[tuple[str, tuple[float, ...]], ...] = setting(
-        "series", "mean errors printed elsewhere, by fit, one for each noise level, to stand beside", "1", ()
+        "series",
+        "mean errors printed elsewhere, by fit, one for each noise level, to stand beside",
+        "1",
+        (),
+        may_be_empty=True,
     )
     thresholds: bool = flag("search the noise level where the success rate falls under the share")
     virtual_rig: VirtualRig | None = None
@@ -75,13 +79,11 @@ class StudySettings(Settings):
         if self.repeats < FEWEST_REPEATS:
             what = f"'repeats' must be at least {FEWEST_REPEATS}"
             raise ConfigError(what, hint="500 give the coverage to 1 %")
-        if not self.noise or min(self.noise) <= 0:
-            raise ConfigError("'noise' needs levels above zero", hint="for example noise: [1 %, 2 %]")
         if any(count != round(count) or count < 2 for count in self.lines):
             raise ConfigError("'lines' needs whole numbers of at least 2")
         if any(len(values) != len(self.noise) for _, values in self.printed):
             raise ConfigError("'printed' needs one value for each noise level")
-        self.require_positive("success")
+        self.require_positive("noise", "success")
         self.require_share("share")
 
 

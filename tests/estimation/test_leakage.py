@@ -25,7 +25,10 @@ from labpipe.project.ready_response import load_described
 from labpipe.project.tests import ReadyFrf
 from labpipe.records.finding import Finding
 from labpipe.records.frf_layout import ElementColumns, FrfColumns, FrfLayout, WindowedSettings
+from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import Blocks, FrequencyResponse, Port, diagonal_covariance
+from labpipe.spectra.measurement import measure
+from labpipe.spectra.settings import FrfSettings
 from labpipe.spectra.windows import kernel_of, window_values
 
 # 1 kg at 60 Hz, half-power width 1.2 Hz.
@@ -78,6 +81,41 @@ def errors_of_tables(folder: Path, **stated: Any) -> np.ndarray:
         assert zeta.std_error is not None
         off.append((zeta.value - DAMPING / 2 / W_N) / zeta.std_error)
     return np.array(off)
+
+
+def of_two_masses(order: tuple[int, ...]) -> FrequencyResponse:
+    """Two masses under white forces of unlike size, with noise of unlike size on the responses, and the
+    channels in an *order*.
+    """
+    rng, n, rate = np.random.default_rng(5), 1 << 15, 512.0
+    forces = np.array([[1.0], [3.0]]) * rng.normal(size=(2, 2 * n))
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, 1 / rate)
+    stiffness, damping = np.array([[3e5, -1e5], [-1e5, 2.5e5]]), np.array([[65.0, -20.0], [-20.0, 58.0]])
+    inverse = stiffness + s[:, None, None] * damping + s[:, None, None] ** 2 * np.diag([1.0, 2.0])
+    spectra = np.einsum("kij,jk->ik", np.linalg.inv(inverse), np.fft.rfft(forces))
+    motion = np.fft.irfft(spectra, 2 * n)[:, :n]
+    motion += np.array([[0.05], [0.2]]) * motion.std(axis=1, keepdims=True) * rng.normal(size=motion.shape)
+    channels = [Channel(f"f{i}", "force", "input", f"p{i}") for i in order]
+    channels += [Channel(f"x{i}", "displacement", "output", f"p{i}") for i in order]
+    samples = np.column_stack([*forces[list(order), :n], *motion[list(order)]])
+    return measure([Recording(tuple(channels), samples, rate, "run")], FrfSettings("random", block=2.0))
+
+
+def test_the_order_of_the_channels_is_none_of_the_data() -> None:
+    """Of the same samples the errors are the same, whichever force or response comes first."""
+    errors = []
+    for order in ((0, 1), (1, 0)):
+        masses = tuple((1.0, 2.0)[i] for i in order)
+        (fit,) = identify(of_two_masses(order), FitSettings("mdof", mass=masses, band=(20.0, 120.0)))
+        every = [f"{letter}_p{i}_p{j}" for letter in "kc" for i in (0, 1) for j in (0, 1)]
+        errors.append([fit.parameter(name).std_error for name in every])
+    np.testing.assert_allclose(errors[0], errors[1], rtol=1e-6)
+
+
+def test_fewer_lines_than_share_their_leakage_are_fitted() -> None:
+    """Of lines every 0.5 Hz a Hann window ties two on either side together; 8 equations a line."""
+    (fit,) = identify(of_two_masses((0, 1)), FitSettings("mdof", mass=(1.0, 2.0), band=(70.0, 70.5)))
+    assert (fit.lines, fit.equations) == (2, 16) and [f.code for f in fit.findings if f.code == "few-lines"]
 
 
 @pytest.mark.parametrize("averages", [40, 0])

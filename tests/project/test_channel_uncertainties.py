@@ -168,6 +168,12 @@ def test_what_a_fit_states_stands_also_where_it_is_the_default(tmp_path: Path) -
     assert (b.coverage, b.monte_carlo) == (pytest.approx(0.95, rel=1e-12), 0)
 
 
+def test_too_few_draws_are_no_draws(tmp_path: Path) -> None:
+    for draws in (0, 199):
+        with pytest.raises(ConfigErrors, match=f"{draws} draws give no 95 % interval; at least 200"):
+            pipeline_of(tmp_path, f"method: monte-carlo, draws: {draws}")
+
+
 def test_an_unknown_method_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigErrors, match="did you mean 'monte-carlo'"):
         pipeline_of(tmp_path, "method: monte-calro")

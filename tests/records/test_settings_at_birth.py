@@ -169,8 +169,12 @@ def test_units_are_welcome_from_python() -> None:
             "sliding: got an unexpected keyword argument 'stepp'",
         ),
         ({"fixed": {"q_1": 3.0}}, "fixed: 'q_1' is not a coefficient"),
-        ({"peaks": {}}, "peaks: '(a mapping)' is not a mapping of dofs to bands"),
+        ({"peaks": {}}, "peaks: is empty"),
         ({"tied": "k_1"}, "tied: 'k_1' is not a list of names"),
+        *(
+            ({key: []}, f"{key}: is empty")
+            for key in ("input", "output", "test", "bands", "tied", "repeat_groups")
+        ),
     ],
 )
 def test_faults_of_a_fit_made_in_python(changes: dict[str, Any], said: str) -> None:

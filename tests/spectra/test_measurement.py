@@ -305,6 +305,24 @@ def test_excluded_bands_are_left_out_and_edges_belong(rng: np.random.Generator) 
     assert response.frequency.tolist() == [10, 11, 14, 15, 16, 17, 18, 19, 20]
 
 
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"band": (1.0, 63.0)}, ""),
+        ({"band": (1.0, 80.0), "exclude": ((55.0, 80.0),)}, ""),
+        ({"band": (1.0, 900.0)}, "lines lie from 1 to 60 Hz, and the band 1-900 Hz reaches beyond"),
+        ({"exclude": ((50.0, 51.0), (700.0, 800.0))}, "the band 700-800 Hz reaches beyond"),
+    ],
+)
+def test_bands_beyond_the_lines_are_said(
+    rng: np.random.Generator, settings: dict[str, Any], said: str
+) -> None:
+    """The force has lines from 1 to 60 Hz: of 63 Hz a tenth of the band at most lies beyond."""
+    response = measure([periodic_recording(rng, (2.0,), 0.01)], replace(PERIODIC, **settings))
+    messages = [finding.message for finding in response.findings if finding.code == "band-beyond"]
+    assert len(messages) == bool(said) and all(said in message for message in messages)
+
+
 def test_findings_of_the_recordings_travel(rng: np.random.Generator) -> None:
     plain = periodic_recording(rng, (2.0,), 0.01)
     clipped = Recording(plain.channels, plain.samples, RATE, "run x", (Finding("clipped", "channel x"),))

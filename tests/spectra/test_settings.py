@@ -82,8 +82,8 @@ def test_hits(tmp_path: Path) -> None:
         ("excitation: impact\nblock: 1 s\nimpact: {reject: [two]}\n", "'two' is not the number of a hit"),
         ("excitation: impact\nblock: -1 s\n", "block must be positive"),
         (
-            "excitation: impact\nblock: 1 s\nband: 1-100 Hz\nexclude: [49-51 kHz]\n",
-            "frf.exclude: 'exclude' leaves nothing out of the band of 1 to 100 Hz",
+            "excitation: impact\nblock: 1 s\nband: 1-100 Hz\nexclude: [49-51 Hz, 49-51 kHz]\n",
+            "frf.exclude: 'exclude' of 49000-51000 Hz leaves nothing out of the band of 1 to 100 Hz",
         ),
     ],
 )

@@ -189,7 +189,7 @@ PATH = {"load": "load", "x": "x", "y": "y"}
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"over": ()}, "names no condition"),
+        ({"over": ()}, "over: is empty"),
         ({"over": ("speed", "speed")}, "'over' names 'speed' twice"),
         ({"beside": ("speed", "leak", "leak")}, "'beside' names 'leak' twice"),
         ({"parameters": ("k_xx", "k_xx")}, "'parameters' names 'k_xx' twice"),

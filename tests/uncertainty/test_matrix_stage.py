@@ -298,7 +298,7 @@ def test_the_conditions_of_a_table(tmp_path: Path, text: str, found: dict[str, f
     ("old", "new", "message"),
     [
         ("fit: film", "fit: flim", "there is no fit 'flim'"),
-        ("over: [speed, load]", "over: []", "'over' names no condition"),
+        ("over: [speed, load]", "over: []", "over: is empty"),
         ("{table: theory.csv}", "{table: no.csv}", "no such file 'no.csv'"),
         ("beside: [oil]", "besides: [oil]", "unknown key"),
         ("{table: theory.csv}", "{table: theory.csv, bearing: b.yaml}", "no such file 'b.yaml'"),

@@ -156,7 +156,7 @@ expect:
     [
         ("study.rig=nowhere.yaml", "study.rig: no such file 'nowhere.yaml'"),
         ("study.repeats=3", "'repeats' must be at least 10"),
-        ("study.noise=0", "levels above zero"),
+        ("study.noise=0", "noise must be positive"),
         ("study.runs=pedestal", "'runs': this rig has none"),
         ("study.lines=2.5", "whole numbers"),
         ("study.printed={ls: [1, 2, 3]}", "one value for each noise level"),

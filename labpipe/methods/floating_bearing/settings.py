@@ -359,7 +359,9 @@ class DynamicStiffnessSettings(Settings):
     baseline_damping: Uncertain | None = setting(
         "uncertain", "of what holds the stator, in x and y", "N.s/m", None
     )
-    band_width: float | None = quantity("form bands: width of one; default: a tenth of the band", "Hz", None)
+    band_width: float | None = quantity(
+        "form bands: about the width of one, all alike; default: a tenth", "Hz", None
+    )
     forms: tuple[str, ...] = setting(
         "names", "forms that `compare` holds against each other", default=COMPARED
     )
@@ -382,11 +384,10 @@ class DynamicStiffnessSettings(Settings):
     def __post_init__(self) -> None:
         if self.baseline and (self.baseline_stiffness or self.baseline_damping):
             raise SettingError("baseline", "'baseline' is given twice", "a fit, or numbers")
-        if self.stator_mass is not None and self.stator_mass.value < 0:
-            raise SettingError("stator_mass", "'stator_mass' is negative")
-        if self.rotor_mass is not None and self.rotor_mass.value <= 0:
-            raise SettingError("rotor_mass", "'rotor_mass' is that of a rotor, above zero")
-        self.require_positive("band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD)
+        self.require_not_negative("stator_mass")
+        self.require_positive(
+            "rotor_mass", "band_width", "rotor_stiffness", "load", "clearance", *OF_SOMMERFELD
+        )
         for name, of, other in (
             ("rotor_stiffness", "a rotor's mass", "rotor_mass"),
             *((name, "a clearance", "clearance") for name in ("load", *OF_SOMMERFELD)),
@@ -394,8 +395,6 @@ class DynamicStiffnessSettings(Settings):
         ):
             if getattr(self, name) is not None and getattr(self, other) is None:
                 raise SettingError(name, f"'{name}' goes with {of}", f"give {other}, or leave it out")
-        if not self.forms:
-            raise SettingError("forms", "'forms' names none", f"for example [{', '.join(COMPARED)}]")
         for form in self.forms:
             if form not in FORMS:
                 raise SettingError("forms", f"'forms': '{form}' cannot be compared", nearest(form, FORMS))

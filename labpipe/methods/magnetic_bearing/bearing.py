@@ -154,8 +154,7 @@ class MagneticFile(Settings):
     inferred: tuple[str, ...] = names("entries neither published nor measured; stated with the result")
 
     def __post_init__(self) -> None:
-        if not self.mass > 0:
-            raise ConfigError(f"mass: must be above zero, not {self.mass:g} kg")
+        self.require_positive("mass")
         if self.frequency is None and self.speed is None:
             hint = "for example frequency: 50 Hz"
             raise ConfigError("frequency: is missing, and there is no speed", hint=hint)

@@ -270,6 +270,8 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     if not (has_noise(sides.measured) or sides.lines.correlation):
         fit = _with_window(fit, estimate.refined, sides.lines)
     polynomials = _polynomial_findings(sides.measured, estimate.refined)
+    if "order" in modal.written and diagram.counted[0] < modal.order[1]:
+        dropped = (*dropped, f"modal: orders up to {diagram.counted[0]}, a quarter of the lines.")
     beside = (*loaded, *diagnostics.quality_findings(response, rows, columns, chosen), *polynomials)
     fit = replace(fit, notes=(*fit.notes, *dropped), findings=(*fit.findings, *beside))
     refined = estimate.refined
@@ -392,10 +394,10 @@ def _first_modes(lines: FrfLines, modal: ModalSettings) -> tuple[lscf.Diagram, l
     edges = float(lines.omega[0]), float(lines.omega[-1])
     omega, matrix, highest = lines.omega, lines.matrix, _highest_order(lines.omega.size, modal)
     looks: list[tuple[lscf.Diagram, lscf.Poles]] = []
-    while omega.size >= LINES_PER_ORDER * LEAST_ORDER:
+    while omega.size >= LINES_PER_ORDER * max(LEAST_ORDER, modal.order[0]):
         order = _highest_order(omega.size, modal)
         equations = lscf.normal_equations(omega, matrix, order)
-        diagram = lscf.stabilisation(equations, edges, order, min(modal.order[0], order))
+        diagram = lscf.stabilisation(equations, edges, order, modal.order[0])
         looks.append(
             (diagram, _poles_by_hand(equations, modal, edges, order) if modal.poles else diagram.modes)
         )
@@ -428,6 +430,9 @@ def _highest_order(n_line: int, modal: ModalSettings) -> int:
     if highest < LEAST_ORDER:
         what = f"{n_line} lines are too few for a stabilisation diagram"
         raise FitError(what, "", f"widen the band to {LINES_PER_ORDER * LEAST_ORDER} lines or more")
+    if highest < modal.order[0]:
+        what = f"the lowest 'order' is {modal.order[0]}, and {n_line} lines take one up to {highest}"
+        raise SettingError("order", what, "lower it, or widen the band")
     return highest
 
 

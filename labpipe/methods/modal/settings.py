@@ -21,7 +21,9 @@ class ModalSettings(Settings):
     """How modes are found: from the stabilisation diagram by itself, or at the poles that are named."""
 
     order: tuple[int, int] = setting(
-        "span", "highest order of the stabilisation diagram, or lowest and highest", default=(1, 60)
+        "span",
+        "highest order of the stabilisation diagram, or lowest and highest; at most a quarter of the lines",
+        default=(1, 60),
     )
     poles: tuple[float, ...] = setting(
         "values", "natural frequencies chosen by hand, or auto", "Hz", (), choices=("auto",)
@@ -51,9 +53,7 @@ class ModalSettings(Settings):
         if highest < max(LEAST_ORDER, lowest):
             what = f"the highest 'order' is {highest}, the lowest {lowest}"
             raise ConfigError(what, hint=f"{LEAST_ORDER} or more, and the lowest first: 2-60", field="order")
-        if any(pole <= 0 for pole in self.poles):
-            raise ConfigError("'poles' must be positive", field="poles")
-        self.require_positive("moving_mass")
+        self.require_positive("poles", "moving_mass")
 
 
 def _fit(response: FrequencyResponse, settings: FitSettings) -> tuple[Fit, ...]:

@@ -48,6 +48,7 @@ from labpipe.quantities import UnitError, parse_value
 from labpipe.raw_files.excitation import peaks
 from labpipe.records.rig import AXIS_ANGLES
 from labpipe.records.uncertain import Budget
+from labpipe.spectra.settings import check_excluded
 
 FEWEST_PERIODS = 3
 # Of one period: a search over more lines takes hours.
@@ -249,6 +250,7 @@ def planned_lines(settings: PlanSettings) -> IntArray:
     lines = np.arange(max(ceil(low * settings.period - 1e-9), 1), int(high * settings.period + 1e-9) + 1)
     frequency = lines / settings.period
     kept = np.ones(lines.size, bool)
+    check_excluded(settings.exclude, settings.band)
     for first, last in settings.exclude:
         kept &= (frequency < first) | (frequency > last)
     if settings.speed is not None:

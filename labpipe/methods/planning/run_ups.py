@@ -115,7 +115,7 @@ class RunUpPlanSettings(Settings):
     earlier: str = setting(
         "file", "identification.json whose joint fit is expected where `expected` has none", default=""
     )
-    known: tuple[str, ...] = names(f"what is known: of {', '.join(PARAMETERS)}")
+    known: tuple[str, ...] = names(f"what is known: of {', '.join(PARAMETERS)}", may_be_empty=True)
     at_load: float | None = quantity("load at which speeds and coefficients are predicted", "N", None)
     at_speed: float | None = quantity("speed at which coefficients are predicted", "Hz", None)
     goal: tuple[tuple[str, tuple[float, ...]], ...] = setting(
@@ -150,12 +150,14 @@ class RunUpPlanSettings(Settings):
             self._check_rotor(self.rig)
 
     def _check_signs(self) -> None:
-        self.require_positive("step", "dwell", "duration", "at_load", "at_speed")
+        self.require_positive("loads", "step", "dwell", "duration", "at_load", "at_speed")
         self.require_positive("displacement_limit", "journal_limit")
         check_distinct(self, "loads")
         self.require_not_negative("changeover")
-        if min(self.loads, default=0.0) <= 0:
-            raise SettingError("loads", "loads are positive")
+        steps = (self.speeds[1] - self.speeds[0]) / self.step
+        if abs(steps - round(steps)) > 1e-6 * steps:
+            what = f"the speeds are {steps:.6g} steps from end to end"
+            raise SettingError("step", what, "a whole number of them")
         if self.speeds[0] <= 0 or self.stretches < 1:
             raise SettingError("speeds", "speeds begin above zero, and there is one stretch of them at least")
 
@@ -192,7 +194,7 @@ class RunUpPlanSettings(Settings):
     def omega(self) -> FloatArray:
         """All speeds (n_speed,) [rad/s]."""
         low, high = self.speeds
-        return 2 * np.pi * np.linspace(low, high, max(round((high - low) / self.step), 0) + 1)
+        return 2 * np.pi * np.linspace(low, high, round((high - low) / self.step) + 1)
 
     def values(self, earlier: Mapping[str, float]) -> FloatArray:
         """Expected logarithms (12,) [-] of PARAMETERS; *earlier*: factors and exponents [1] by default."""

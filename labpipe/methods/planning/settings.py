@@ -83,12 +83,11 @@ def check_relative(goals: Iterable[tuple[str, tuple[float, ...]]]) -> None:
 
 
 def check_distinct(settings: Any, *fields: str) -> None:
-    """ConfigError for a list of candidates that is empty, or holds one twice."""
+    """ConfigError for a list of candidates that holds one twice."""
     for field in fields:
         values = getattr(settings, field)
-        if not values or len(set(values)) < len(values):
-            what = "one appears twice" if values else "there is none"
-            raise SettingError(field, f"{field}: {what}", "candidates differ, and there is one at least")
+        if len(set(values)) < len(values):
+            raise SettingError(field, f"{field}: one appears twice", "candidates differ")
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,9 @@ class SignalSettings(Settings):
     noise: NoiseSettings | None = section("noise of the sensors per sample", NoiseSettings, None)
     noise_density: DensitySettings | None = section("or its density", DensitySettings, None)
     criterion: str = criterion_setting()
-    exclude: tuple[tuple[float, float], ...] = setting("bands", "frequencies that are not excited", "Hz", ())
+    exclude: tuple[tuple[float, float], ...] = setting(
+        "bands", "frequencies that are not excited", "Hz", (), may_be_empty=True
+    )
     mains: float | None = quantity("mains frequency, whose multiples are left out", "Hz", None)
 
 

@@ -77,7 +77,7 @@ class StatePlanSettings(SignalSettings):
     skip: int = integer("transient periods before the measured ones, in every run", 1)
 
     def __post_init__(self) -> None:
-        check_distinct(self, "loads", "speeds", *(["estimate"] if self.estimate else []))
+        check_distinct(self, "loads", "speeds", "estimate")
         self.require_positive("loads", "speeds", "duration")
         self.require_not_negative("changeover")
         if self.periods < plan.FEWEST_PERIODS:

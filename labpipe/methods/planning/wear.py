@@ -97,9 +97,8 @@ class WearPlanSettings(Settings):
 
     def __post_init__(self) -> None:
         self.require_positive("duration", "sample_rate", "force", "run", "block")
-        check_distinct(self, "speeds", "bands", *(["loads"] if self.loads else []))
-        if min(self.speeds, default=0.0) <= 0:
-            raise SettingError("speeds", "speeds are positive")
+        check_distinct(self, "speeds", "bands", "loads")
+        self.require_positive("speeds")
         if any(low <= 0 or 2 * high >= self.sample_rate for low, high in self.bands):
             raise SettingError("bands", "bands lie between 0 and half the sampling rate")
         if self.run < 2 * self.block or self.changeover < 0:

@@ -44,7 +44,7 @@ class DecayRig(Settings):
     sample_rate: float = quantity("sampling rate", "Hz", 1024.0)
 
     def __post_init__(self) -> None:
-        if not self.frequencies or len(self.frequencies) != len(self.damping_ratios):
+        if len(self.frequencies) != len(self.damping_ratios):
             raise SettingError("damping_ratios", "'damping_ratios' needs one value for every frequency")
         self.require_positive("mass", "amplitude", "hits", "interval", "weaker", "sample_rate")
         self.require_not_negative("joint", "noise")

@@ -64,8 +64,8 @@ class TestedBearing(Settings):
             if given:
                 raise SettingError("bearing", f"bearing.{name}: the rig sets it by {of}", "leave it out")
         self.require_positive("bending_stiffness")
-        if len({f"{preload:g}" for preload in self.preloads}) < max(len(self.preloads), 1):
-            raise SettingError("preloads", "'preloads' names none, or one twice", "[427 N, 701 N]")
+        if len({f"{preload:g}" for preload in self.preloads}) < len(self.preloads):
+            raise SettingError("preloads", "'preloads' names one twice", "[427 N, 701 N]")
 
 
 @dataclass(frozen=True)

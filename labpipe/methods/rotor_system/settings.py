@@ -201,10 +201,7 @@ class RotorSystemSettings(Settings):
         self._check_tests()
         if self.draws < 20:
             raise SettingError("draws", "at least 20 draws are needed")
-        if self.speeds is not None and self.speeds[0] <= 0:
-            raise SettingError("speeds", "'speeds' must begin above zero", "5-200 Hz")
-        if self.balance_speeds and min(self.balance_speeds) <= 0:
-            raise SettingError("balance_speeds", "'balance_speeds' must be above zero")
+        self.require_positive("speeds", "balance_speeds")
         if self.balance_speeds and all(test.kind != RUN_UP for test in self.tests):
             what = "weights need a run-up among the tests, whose probes they calm"
             raise SettingError("balance_speeds", what, "add one, or leave balance_speeds out")

@@ -68,9 +68,7 @@ class RotorTestRig(Settings):
         last = np.inf if self.system is None else self.system.rig.rotor.n_node
         places = {"force": [self.force], "accelerations": self.accelerations, "probes": self.probes}
         for name, nodes in places.items():
-            if len(set(nodes)) < max(len(nodes), 1) or any(
-                node % 1 or not 1 <= node <= last for node in nodes
-            ):
+            if len(set(nodes)) < len(nodes) or any(node % 1 or not 1 <= node <= last for node in nodes):
                 raise SettingError(name, f"'{name}': whole numbers of nodes, from 1 to {last:g}, each once")
 
     @property

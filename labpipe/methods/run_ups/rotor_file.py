@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.artefacts.json_file import read_digested
-from labpipe.errors import ConfigError, DataError, LabpipeError, SettingError
+from labpipe.errors import ConfigError, DataError, LabpipeError
 from labpipe.methods.rotor.rig import Unbalance
 from labpipe.methods.rotor.rotor_file import read_parts, try_making
 from labpipe.methods.run_ups.metamodels import Metamodel, from_entries
@@ -44,8 +44,7 @@ class PinnedSettings(Settings):
     coefficients: str = text("FILE#NAME: a metamodel of an identification.json, instead of the film")
 
     def __post_init__(self) -> None:
-        if self.speeds is not None and self.speeds[0] <= 0:
-            raise SettingError("speeds", "'speeds' must begin above zero", "for example 400-3000 rpm")
+        self.require_positive("speeds")
 
 
 def load_run_up_rotor(path: Path, overrides: Iterable[str] = ()) -> RunUpRotor:

@@ -188,12 +188,16 @@ class RunUpSettings(Settings):
     methods: tuple[str, ...] = setting(
         "names", f"what is fitted: {', '.join(METHODS)}", default=("points", "joint")
     )
-    metamodels: tuple[str, ...] = names(f"of coefficients over load and speed: {', '.join(METAMODELS)}")
+    metamodels: tuple[str, ...] = names(
+        f"of coefficients over load and speed: {', '.join(METAMODELS)}", may_be_empty=True
+    )
     metamodels_of: str = choice("the method whose coefficients they are fitted to", tuple(METHODS), "joint")
     plane: str = text("plane of the critical speeds; default: the last one")
     bound: float = quantity("largest change of a coefficient (amplitudes, points)", "1", 0.3)
     ridge: float = quantity("standard deviation of that change before a run is seen (points)", "1", 0.15)
-    known: tuple[str, ...] = names(f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}")
+    known: tuple[str, ...] = names(
+        f"joint: what is as in the rotor file, of {', '.join(PARAMETERS)}", may_be_empty=True
+    )
     search: str = choice("how amplitudes are fitted", SEARCHES, "pattern")
     starts: int = integer("starts of that search at one load and speed, to show their spread", 20)
     seed: int = integer("of random starts and networks", 1)
@@ -232,8 +236,6 @@ class RunUpSettings(Settings):
         needed = {self.metamodels_of} if self.metamodels else set()
         if "physical" in self.metamodels:
             needed.add("joint")
-        if not self.methods:
-            raise SettingError("methods", "nothing is fitted", f"known: {', '.join(METHODS)}")
         for name in sorted(needed - set(self.methods)):
             what = f"metamodels need the method '{name}', which is not fitted"
             raise SettingError("metamodels", what, f"add {name} to run_ups.methods")

@@ -97,9 +97,7 @@ class VirtualUnbalanceRig(Settings):
             raise SettingError("rotor", "the rotor has no unbalances", "add unbalances: to the rotor file")
         if not 2 <= self.count <= MOST_SPEEDS or not 0 < self.speeds[0] < self.speeds[1]:
             raise ConfigError(f"a run-up has 2 to {MOST_SPEEDS} speeds that rise from above zero")
-        if not self.loads or min(*self.loads, self.held_out) <= 0:
-            hint = "for example loads: [3.66 N, 5.88 N]"
-            raise ConfigError("every static load must be positive", hint=hint)
+        self.require_positive("loads", "held_out")
         if not max(abs(self.viscosity_error), abs(self.clearance_error)) < 0.5 or not 0 <= self.heating < 0.5:
             raise ConfigError(
                 "viscosity_error and clearance_error lie between -50 % and 50 %, heating between 0 and 50 %"

@@ -26,6 +26,7 @@ OBJECTIVES = ("complex", "log")
 # Parameters that can be estimated together with the wear: name of the setting, unit.
 NUISANCES = {"viscosity": "Pa.s", "clearance": "m", "cavitation_pressure": "Pa", "beta": "s"}
 POSITIVE = ("viscosity", "clearance", "beta")
+OF_WEAR = ("bearing", "depth_limit", "angle_limit", "start_depths", "start_angles")
 DEPTH, ANGLE = "wear_depth", "wear_angle"
 # Range of a nuisance parameter about its prior mean, in prior standard deviations.
 REACH = 4.0
@@ -110,8 +111,6 @@ class WearSettings(Settings):
         self.require_positive("depth_limit")
         if not 0 < self.angle_limit < np.pi / 2:
             raise SettingError("angle_limit", "'angle_limit' must lie between 0 and 90 deg")
-        if not self.start_depths or not self.start_angles:
-            raise ConfigError("'start_depths' and 'start_angles' need one value or more")
         if not all(0 <= depth <= self.depth_limit for depth in self.start_depths):
             what = "'start_depths' leave the range of depths"
             raise SettingError("start_depths", what, "from 0 to depth_limit")
@@ -130,9 +129,10 @@ class WearSettings(Settings):
             worn_place(self.rig, self.bearing)
 
     def _check_nuisances(self) -> None:
-        if self.healthy and self.bearing:
-            what = "'bearing' names a worn one; a healthy rig is tuned in all of them"
-            raise SettingError("bearing", what, "leave it out")
+        for name in OF_WEAR if self.healthy else ():
+            if name in self.written:
+                what = f"'{name}' is of a worn bearing; a healthy rig is tuned in all of them"
+                raise SettingError(name, what, "leave it out")
         if self.healthy and not self.nuisances:
             hint = f"give one or more of {', '.join(NUISANCES)} with its uncertainty"
             raise SettingError("healthy", "nothing to tune", hint)

@@ -75,8 +75,6 @@ class VirtualJournalRig(Settings):
 
     def __post_init__(self) -> None:
         assert self.mesh
-        if not self.states:
-            raise ConfigError("states: are missing", hint="for example states: {healthy: {}}", field="states")
         self.require_positive("force", "bandwidth", "sample_rate", "duration")
         self.require_not_negative("unbalance")
         if not self.bandwidth < self.sample_rate / 2:

@@ -111,7 +111,7 @@ def test_verdict_is_kept_over_a_sweep() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"mass": 0.0}, "mass: must be above zero"),
+        ({"mass": 0.0}, "mass must be positive"),
         ({"frequency": None}, "frequency: is missing"),
         ({"frequency": 0.0}, "frequency: must be above zero"),
         ({"negative_stiffness": 1e4}, "is given as well"),

@@ -405,6 +405,10 @@ def test_orders_and_poles_are_written_as_ranges_and_words() -> None:
     found = modal(chain_response(np.linspace(5, 120, 400)), model_settings=ModalSettings(order="12-40"))
     (shapes,) = found.details
     assert min(shapes.diagram.order) >= 12 and max(shapes.diagram.order) <= 40
+    # 400 lines take orders up to 100.
+    cut = modal(chain_response(np.linspace(5, 120, 400)), model_settings=ModalSettings(order=120))
+    assert "modal: orders up to 100, a quarter of the lines." in cut.notes
+    assert not any("a quarter of the lines" in note for note in found.notes)
     assert any(
         "1 for modes below the band, 1 for modes above it, as `residuals` asks" in note
         for note in modal(chain_response(np.linspace(5, 120, 400)), residuals=True).notes
@@ -428,6 +432,10 @@ def test_refusals_say_what_to_do() -> None:
     for order, what in ((2, "is 2, the lowest 1"), ("60-12", "is 12, the lowest 60")):
         with pytest.raises(ConfigError, match=f"the highest 'order' {what}"):
             ModalSettings(order=order)
+    with pytest.raises(ConfigError, match="the lowest 'order' is 101, and 400 lines take one up to 100"):
+        modal(clean, model_settings=ModalSettings(order="101-200"))
+    with pytest.raises(ConfigError, match="poles: is empty"):
+        ModalSettings(poles=[])
     with pytest.raises(ConfigError, match="'2-x' is not a whole number, nor two of them; write 60, or 2-60"):
         ModalSettings(order="2-x")
     with pytest.raises(ConfigError, match="positive"):

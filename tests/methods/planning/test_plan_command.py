@@ -405,6 +405,7 @@ def test_a_floating_bearing_expected_from_theory(labpipe: Command, tmp_path: Pat
         ({"expected": {"rotor": MENDES, "load": "1 N"}}, "the load follows from the rotor"),
         ({"expected": {"rotor": MENDES, "name": "bearing 9"}}, "no bearing 'bearing 9'"),
         ({"speeed": "50 Hz"}, "did you mean 'speed'"),
+        ({"exclude": ["49-51 kHz"]}, "'exclude' of 49000-51000 Hz leaves nothing out of the band"),
     ],
 )
 def test_refusals_name_place_and_remedy(

@@ -195,7 +195,7 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"goal": {"k_zz": "2 %"}}, "no k_zz is predicted"),
         ({"goal": {"clearance": "2 %"}}, "clearance is known"),
         ({"known": ["oil"]}, "the film has no parameter oil"),
-        ({"trials": {}}, "no way to excite the rotor"),
+        ({"trials": {}}, "trials: is empty"),
         ({"trials": {"a": {}}}, "a trial has an unbalance or a shaker"),
         ({"trials": {"a": {"unbalance": {"disc 1": "0 g.mm"}}}}, "the trial unbalance is zero"),
         (
@@ -210,6 +210,7 @@ def test_runs_read_as_planned_end_within_the_predicted_errors(labpipe: Command, 
         ({"stretches": 20}, "make no 20 stretches"),
         ({"model": "run-upss"}, "did you mean 'run-ups'"),
         ({"dwel": "3 s"}, "did you mean 'dwell'"),
+        ({"step": "130 rpm"}, "steps from end to end; a whole number of them"),
     ],
 )
 def test_refusals_name_place_and_remedy(
@@ -229,7 +230,7 @@ def choice_of(settings: RunUpPlanSettings) -> RunUpChoice:
 @pytest.fixture(scope="module")
 def one_load(tmp_path_factory: pytest.TempPathFactory) -> RunUpChoice:
     folder = tmp_path_factory.mktemp("one-load")
-    file = load_plan(_write(folder, loads=["8 N"], goal={}, to_threshold=False, stretches=1))
+    file = load_plan(_write(folder, loads=["8 N"], goal=None, to_threshold=False, stretches=1))
     return choice_of(file.settings)
 
 
@@ -258,10 +259,10 @@ def test_the_remedy_works_and_predicted_errors_are_those_of_draws(tmp_path: Path
     """Where the plan names a measured clearance as the change, fits with it tell all, and scatter as
     predicted.
     """
-    file = load_plan(_write(tmp_path, known=[], goal={}, at_load=None, at_speed=None))
+    file = load_plan(_write(tmp_path, known=[], goal=None, at_load=None, at_speed=None))
     plan = choice_of(file.settings).plan("").plan
     assert plan.remedies == ("a measured clearance (known: clearance)",)
-    file = load_plan(_write(tmp_path, goal={}, duration="20 min", to_threshold=False))
+    file = load_plan(_write(tmp_path, goal=None, duration="20 min", to_threshold=False))
     choice = choice_of(file.settings)
     answered = choice.plan("")
     assert answered.plan.undetermined == ()

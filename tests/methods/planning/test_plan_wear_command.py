@@ -108,7 +108,7 @@ def test_light_wear_has_no_angle(labpipe: Command, tmp_path: Path) -> None:
         ({"clearance": "90 um"}, "clearance has no uncertainty"),
         ({"bands": ["60-130 Hz"]}, "between 0 and half the sampling rate"),
         ({"run": "4 s"}, "two blocks or more"),
-        ({"bands": []}, "bands: there is none"),
+        ({"bands": []}, "bands: is empty"),
         ({"speeds": ["50 Hz", "3000 rpm"]}, "speeds: one appears twice"),
         ({"bands": ["49.9-50.1 Hz"]}, "no line is left between 49.9 and 50.1 Hz"),
         ({"expected": {"depth": "20 um", "angle": "40 deg"}}, "beyond its limits"),

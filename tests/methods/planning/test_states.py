@@ -137,7 +137,7 @@ def test_states_by_themselves(tests: list[StateTest]) -> None:
         ({"goal": (("clearance", (0.01,)),)}, "no clearance is predicted"),
         ({"goal": (("k_xx", (0.0,)),)}, "one positive relative error"),
         ({"loads": (0.0,)}, "loads must be positive"),
-        ({"loads": ()}, "loads: there is none"),
+        ({"loads": ()}, "loads: is empty"),
         ({"speeds": (25.0, 25.0)}, "speeds: one appears twice"),
         ({"estimate": ("clearance", "clearance")}, "estimate: one appears twice"),
         ({"band": (20.0, 300.0)}, "needs more than 600 Hz"),

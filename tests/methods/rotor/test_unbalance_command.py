@@ -67,7 +67,7 @@ def test_a_rule_that_fails_ends_with_1(labpipe, pipeline: Path) -> None:
         ("expect={unbalance.wear 9.forward_peak: '>= 1 um'}", "no such case of unbalance"),
         ("expect={unbalance.wear 1.peak: '>= 1 um'}", "has no 'peak'"),
         ("unbalance.rotor=none.yaml", "no such file 'none.yaml'"),
-        ("unbalance.cases={}", "unbalance.cases: are missing"),
+        ("unbalance.cases={}", "unbalance.cases: is empty"),
         ("unbalance.bearing=left", "no bearing 'left'"),
         ("unbalance.cases={deep: {depth: 300 um}}", "does not fit a clearance"),
         ("unbalance.step=0 Hz", "'step' must be positive"),

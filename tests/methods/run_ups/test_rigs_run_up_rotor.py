@@ -137,7 +137,7 @@ def test_rotors_that_cannot_be_are_refused(changes: dict[str, object], said: str
 
 @pytest.mark.parametrize("low", [0.0, -5.0])
 def test_a_search_begins_above_zero(low: float) -> None:
-    with pytest.raises(ConfigError, match="'speeds' must begin above zero"):
+    with pytest.raises(ConfigError, match="speeds must be positive"):
         PinnedSettings(speeds=(low, 50.0))
 
 

@@ -62,7 +62,7 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
     ("text", "said"),
     [
         (HEAD, "run_ups.runs: is missing"),
-        (HEAD + "  runs: []\n", "run_ups.runs: a list of runs is needed"),
+        (HEAD + "  runs: []\n", "run_ups.runs: is empty"),
         (HEAD + "  runs:\n    - {{file: none.csv}}\n", "run_ups.runs.1.file: no such file 'none.csv'"),
         (HEAD + "  runs:\n    - {{load: 3 N}}\n", "one of 'file' and 'recording' is needed"),
         (HEAD + RUNS + RUNS.partition("\n")[2], "a second run named 'load-1'"),
@@ -79,7 +79,7 @@ def test_an_unbalance_is_a_size_at_an_angle(tmp_path: Path) -> None:
         (HEAD + RUNS.replace("}}", ", tacho: n}}"), "run_ups.runs.1.tacho: 'tacho' belongs to a recording"),
         (HEAD + RUNS.replace("}}", ", pulses: 3}}"), "'pulses' belongs to a recording"),
         (HEAD + "  methods: [joint, joint]\n" + RUNS, "run_ups.methods: 'joint' is named twice"),
-        (HEAD + "  methods: []\n" + RUNS, "run_ups.methods: nothing is fitted"),
+        (HEAD + "  methods: []\n" + RUNS, "run_ups.methods: is empty"),
         (HEAD + RUNS.replace("}}", ", unbalance: {{disc 1: 50 mm}}}}"), "run_ups.runs.1.unbalance: disc 1: "),
         (HEAD + RUNS.replace("}}", ", unbalence: 3}}"), "unbalence: unknown key"),
         (HEAD + "  methods: [jiont]\n" + RUNS, "unknown name 'jiont'; did you mean 'joint'"),

@@ -139,8 +139,8 @@ def test_further_runs_for_what_a_load_alone_cannot_tell() -> None:
     [
         ({"count": 1}, "2 to 1000 speeds"),
         ({"speeds": (50.0, 10.0)}, "the lower frequency comes first"),
-        ({"loads": ()}, "every static load must be positive"),
-        ({"held_out": -1.0}, "every static load must be positive"),
+        ({"loads": ()}, "loads: is empty"),
+        ({"held_out": -1.0}, "held_out must be positive"),
         ({"viscosity_error": -0.7}, "between -50 % and 50 %"),
         ({"heating": 0.6}, "heating between"),
         ({"shaker_force": 0.0}, "must be positive"),

@@ -21,7 +21,7 @@ from tests.methods.wear.worn_cases import NUISANCES, wear_settings
         ({"lines": (20.0,), "half_power": ((10.0, 30.0),)}, "both choose lines"),
         ({"depth_limit": 0.0}, "must be positive"),
         ({"angle_limit": 2.0}, "between 0 and 90 deg"),
-        ({"start_depths": ()}, "one value or more"),
+        ({"start_depths": ()}, "start_depths: is empty"),
         ({"start_depths": (60e-6,)}, "leave the range of depths"),
         ({"start_angles": (0.5,)}, "leave the range of angles"),
         ({"prior": "tuning", **NUISANCES}, "already covers viscosity, clearance"),
@@ -33,6 +33,8 @@ from tests.methods.wear.worn_cases import NUISANCES, wear_settings
         ({"clearance": Uncertain(90e-6, 40e-6)}, "'clearance' not below 25 %"),
         ({"viscosity": Uncertain(0.1, 0.025)}, "'viscosity' not below 25 %"),
         ({"prior": "t", "posterior": Gaussian(("viscosity",), (0.1,), ((9e-4,),))}, "'viscosity' not below"),
+        ({"healthy": True, "start_depths": (1e-6,), **NUISANCES}, "'start_depths' is of a worn bearing"),
+        ({"healthy": True, "angle_limit": 0.5, **NUISANCES}, "'angle_limit' is of a worn bearing"),
     ],
 )
 def test_what_does_not_go_together_is_refused(changes: dict, message: str) -> None:

@@ -47,9 +47,9 @@ def without_region() -> Iterator[None]:
 
 def wear_settings(**changes: object) -> WearSettings:
     """Settings with the rig in place, coarse films, and four starts, one in every quarter of the range."""
+    starts = {"start_depths": (12e-6, 36e-6), "start_angles": (-0.15, 0.15)}
     given = {
-        "start_depths": (12e-6, 36e-6),
-        "start_angles": (-0.15, 0.15),
+        **({} if changes.get("healthy") else starts),
         "rotor": "mendes.yaml",
         "rig": RIG,
         "cells_around": COARSE[0],
