@@ -546,7 +546,7 @@ def short_block_findings(
     the leakage or not; none without blocks.
     """
     blocks = measured.blocks
-    if blocks is None:
+    if blocks is None or blocks.after_hit:
         return []
     lines, modelled = blocks.length * width, models_leakage and measured.leakage is not None
     enough = FEWEST_LINES if modelled else ENOUGH_LINES

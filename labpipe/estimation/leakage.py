@@ -377,7 +377,7 @@ def leaking_noise(
     if leakage is None or measured.covariance is None or not np.isfinite(measured.noise_dof):
         return None
     blocks = leakage.kernel.blocks
-    if blocks.degree or blocks.bursts:
+    if blocks.degree or blocks.bursts or blocks.after_hit:
         # Local polynomials take off what passes from block to block; little does of bursts.
         return None if blocks.degree else measured.line_noise
     points = leakage.points_of(model, parameters)

@@ -179,7 +179,10 @@ def model_error(
     another kind, a band too narrow for its width, and random data whose leakage the fit models. Unknown noise
     is the scatter of the residual's second differences.
     """
-    if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None or measured.leakage is not None:
+    if measured.matrix.shape[1:] != (1, 1) or settings.sliding is not None:
+        return None
+    # What blocks of hits cut off is small beside an error of the model.
+    if measured.leakage is not None and not measured.leakage.kernel.blocks.after_hit:
         return None
     built = None if is_corrected(settings) else _mode_of(model, values)
     if built is None:

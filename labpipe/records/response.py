@@ -229,7 +229,8 @@ class Blocks:
     side; 0 for Welch's averages. derivatives: in time of what was averaged, beyond those of the response's
     form; -2 for a transmissibility from an accelerometer on the base and a probe on the mass. by_force:
     number of the blocks of each force, where one alone acts in a recording; apart: its noise is that of these
-    alone. bursts: mean square of a force that rests in each block, in equal parts of it [1].
+    alone. bursts: mean square of a force that rests in each block, in equal parts of it [1]. after_hit: share
+    of a block that follows its hit [1], where the response has not died away at its end; else 0.
     """
 
     length: float
@@ -243,6 +244,7 @@ class Blocks:
     apart: bool = False
     bursts: tuple[float, ...] = ()
     half_width: int = 0
+    after_hit: float = 0.0
 
     def dies_away(self, lines: float) -> bool:
         """Whether a mode of this half-power width [lines] falls to 1 % of its power while a burst rests."""

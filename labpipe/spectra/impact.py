@@ -10,11 +10,10 @@ import numpy as np
 import scipy
 
 from labpipe.arrays import BoolArray, ComplexArray, FloatArray
-from labpipe.display import plain_text
 from labpipe.errors import DataError
 from labpipe.records.finding import Finding, note
 from labpipe.records.recording import Channel, SampleSource
-from labpipe.records.response import FactoredCovariance, variance_of
+from labpipe.records.response import Blocks, FactoredCovariance, variance_of
 from labpipe.records.uncertain import MatrixError, Uncertainty
 from labpipe.spectra import damping, windows
 from labpipe.spectra.bands import block_samples, line_range
@@ -23,7 +22,7 @@ from labpipe.spectra.covariance import correct_covariance
 from labpipe.spectra.ports import Layout, Parts, left_out, parts_at_lines, select_lines
 from labpipe.spectra.random import parts_of_spectra
 from labpipe.spectra.settings import FrfSettings, ImpactSettings
-from labpipe.spectra.synchronous import ToneSearch
+from labpipe.spectra.synchronous import ToneSearch, steady_tone
 from labpipe.spectra.welch import CrossSpectra
 
 # Equal consecutive samples at the end of the range that count as an overload of the converter.
@@ -136,14 +135,13 @@ def judged_hit(
     # A tacho stands at both ends of its range, and no FRF is made of it.
     measured = [channel.role != "reference" or channel.name in members for channel in channels]
     clipped = np.flatnonzero(find_overloaded(samples) & measured)
+    fault = ""
     if number in settings.reject:
         fault = "left out by hand"
     elif clipped.size:
         fault = f"overload of channel '{channels[clipped[0]].name}'"
     elif is_double(samples[:, force], settings.double_hit):
         fault = "double hit"
-    else:
-        fault = ""
     return Hit(number, start, trigger, samples, fault)
 
 
@@ -156,8 +154,9 @@ def find_overloaded(samples: FloatArray) -> BoolArray:
     clipped = np.zeros(samples.shape[1], bool)
     for end in (samples.max(axis=0), samples.min(axis=0)):
         at_end = (samples == end) & (np.abs(end) > peak / 2)
-        run = np.lib.stride_tricks.sliding_window_view(at_end, CLIPPED_RUN, axis=0).all(axis=2)
-        clipped |= run.any(axis=0)
+        clipped |= (
+            np.lib.stride_tricks.sliding_window_view(at_end, CLIPPED_RUN, axis=0).all(axis=2).any(axis=0)
+        )
     return clipped
 
 
@@ -206,6 +205,8 @@ AROUND, MOST_NOISE, LEAST_PART = 16, 0.9, 1e-6
 ROUNDING = 1e-10
 # The response has decayed when the rms of its last tenth is below this share of that of its largest tenth.
 DIED_AWAY = 0.05
+# Share of the largest tenth from which the last one, less the noise, is what a block cuts off.
+FAINT = 1e-4
 # Power at the end over that before the first hit, of some twenty samples, up to which it is noise.
 AS_NOISE = 2.5
 # Share at which the advised block ends, and the fall of ln(rms) within a block that tells its length.
@@ -237,7 +238,9 @@ def impact_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     elif settings.estimator != "H2":
         low = settings.estimator == "H1"
         parts = without_force_noise(parts, errors, layout, AFTER_HITS, WINDOW, taken_off=low)
-    return replace(parts, findings=(*findings, *parts.findings))
+    length, after = averages[0].n_sample / sources[0].sample_rate, max(hits.after_hit() for hits in averages)
+    blocks = Blocks(length, "boxcar", 0.0, 1, settings.estimator, after_hit=after) if after else None
+    return replace(parts, blocks=blocks, findings=(*findings, *parts.findings))
 
 
 def _with_window_noise(
@@ -305,7 +308,7 @@ def force_courses(averages: Sequence[_HitAverage], layout: Layout) -> dict[int, 
         if (shapes := average.window_shapes()) is None:
             return {}
         power = sum(a.force_noise()[1] for a in of_force)
-        towards = np.sum([a.mean_force() for a in of_force], axis=0)
+        towards = np.sum([a.from_triggers()[:, :, a.force].sum(axis=0) for a in of_force], axis=0)
         size = np.abs(towards) * np.sqrt(np.maximum(power, np.finfo(float).tiny))
         courses[force] = -shapes * (towards.conj() / np.maximum(size, np.finfo(float).tiny))[:, None]
     return courses
@@ -356,9 +359,8 @@ def without_force_noise(
     if variance is None:
         return parts
     size = np.maximum(np.abs(parts.matrix) ** 2, np.finfo(float).tiny)
-    precision = size / np.maximum(
-        variance.reshape(size.shape), np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
-    )
+    least = np.maximum(ROUNDING**2 * size, np.finfo(float).tiny)
+    precision = size / np.maximum(variance.reshape(size.shape), least)
     factor, snr, moving = np.ones((len(size), 1, size.shape[2]), np.complex128), parts.snr, {}
     hint = f"{TAKEN_OFF}; {hint}" if taken_off else hint
     for force in dict.fromkeys(layout.acting):
@@ -442,6 +444,8 @@ class _HitAverage:
         # Responses that ring on, with the longest block [s] in which one would die away, 0 where unknown.
         self.slow: dict[str, float] = {}
         self._outputs = columns_of(source.channels, "output")
+        # Power of every channel at the end of each hit's block, less that before it, over its largest.
+        self._left: list[FloatArray] = []
         self._tones = ToneSearch(self.n_sample, len(self._outputs))
         # Power of every channel (n_channel,) before the first hit.
         self._quiet: FloatArray | None = None
@@ -480,21 +484,21 @@ class _HitAverage:
     def _note_slow(self, samples: FloatArray, hit: Hit) -> None:
         """Keep the responses of which more than the noise before the first *hit* is left at the end."""
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
-        largest, number = tenths.max(axis=0), tenths.argmax(axis=0)
+        largest, number = tenths.max(axis=0) + np.sqrt(np.finfo(float).tiny), tenths.argmax(axis=0)
         length = samples.shape[0] / self._source.sample_rate
-        if self._quiet is None:
-            self._quiet = np.sum(hit.samples[: hit.trigger] ** 2, axis=0) / max(hit.trigger, 1)
+        # A hit begins before its trigger.
+        before = np.mean(hit.samples[: max(hit.trigger // 2, 1)] ** 2, axis=0)
+        self._left.append((tenths[-1] / largest) ** 2 - before / largest**2)
+        self._quiet = before if self._quiet is None else self._quiet
         noise = AS_NOISE * self._quiet * np.mean(self._exponential[-len(samples) // 10 :] ** 2)
         left = np.sqrt(np.maximum(tenths[-1] ** 2 - noise, 0.0))
-        for column, channel in enumerate(self._source.channels):
-            share = left[column] / largest[column] if largest[column] else 0.0
-            if share <= DIED_AWAY or channel.role != "output":
-                continue
-            # exp(-t / tau) from the largest tenth to the last one.
-            passed = length * (9 - number[column]) / 10
-            fallen = -np.log(share) > SEEN_TO_FALL
-            needed = length + passed * (np.log(AT_REST) / np.log(share) - 1) if fallen else 0.0
-            self.slow[channel.name] = max(needed, self.slow.get(channel.name, 0.0))
+        for column in self._outputs:
+            share, name = left[column] / largest[column], self._source.channels[column].name
+            if share > DIED_AWAY:
+                # exp(-t / tau) from the largest tenth to the last one.
+                passed, fallen = length * (9 - number[column]) / 10, -np.log(share)
+                needed = length + passed * (-np.log(AT_REST) / fallen - 1) if fallen > SEEN_TO_FALL else 0.0
+                self.slow[name] = max(needed, self.slow.get(name, 0.0))
 
     def spectra(self) -> CrossSpectra:
         """The average over the accepted hits; DataError when there is none."""
@@ -533,16 +537,12 @@ class _HitAverage:
         shapes = windows.window_shapes(window, trigger, np.arange(self._lines.start, self._lines.stop))
         return None if shapes is None else np.sqrt(self.force_noise()[0] / self.n_hit)[:, None] * shapes
 
-    def _from_triggers(self) -> ComplexArray:
+    def from_triggers(self) -> ComplexArray:
         """Amplitudes (n_hit, n_line, n_channel) of every hit, counted from its trigger."""
         numbers = np.arange(self._lines.start, self._lines.stop)
         triggers = np.array([trigger for _, _, trigger, _ in self._alone])
         amplitudes = np.array([amplitude for *_, amplitude in self._alone])
         return np.asarray(amplitudes * windows.phase_factors(numbers, -triggers, self.n_sample).T[:, :, None])
-
-    def mean_force(self) -> ComplexArray:
-        """The sum (n_line,) [N s per spacing] of the forces of all hits, each counted from its trigger."""
-        return np.asarray(np.sum(self._from_triggers()[:, :, self.force], axis=0))
 
     def align(self, parts: Parts, force: int, outputs: Sequence[int]) -> _HitAverage:
         """The average with every hit's force less what its responses, beside those of all hits, say of noise
@@ -557,7 +557,7 @@ class _HitAverage:
         if self._settings.estimator == "H1":
             error = force_error(*self.force_noise(), self.n_hit, windowed=False)
             response = response / (1 - error)[:, None]
-        hits = self._from_triggers()
+        hits = self.from_triggers()
         rows = np.array(outputs)[here]
         motion, of_hits = hits[:, :, rows], hits[:, :, self.force]
         hits[:, :, rows], hits[:, :, self.force] = windows.without_window_noise(
@@ -566,6 +566,14 @@ class _HitAverage:
         other._sum = np.einsum("hla,hlb->lab", hits, hits.conj())
         return other
 
+    def after_hit(self) -> float:
+        """Share of the blocks after the hits, where responses are seen to ring on at their end; else 0."""
+        if self._settings.damping_window is not None or not self.n_hit:
+            return 0.0
+        # Where noise alone makes it seem so, nothing that counts is cut off.
+        left = np.mean(self._left, axis=0)[self._outputs]
+        return float(1 - np.mean(self._origins) / self.n_sample) if np.any(left > FAINT**2) else 0.0
+
     def end_findings(self) -> list[Finding]:
         """The warnings of tones that no hit makes, and of other responses that ring on at the block's end."""
         findings, slow = [], dict(self.slow)
@@ -573,13 +581,8 @@ class _HitAverage:
             channel = self._source.channels[self._outputs[number]]
             if is_most:
                 slow.pop(channel.name, None)
-            tone = f"{frequency * self._source.sample_rate:.4g} Hz"
-            message = (
-                f"{self.name}: response {channel.name} holds {tone} of "
-                f"{plain_text(amplitude, channel.unit, 3)} that no hit makes (a turning shaft, or hum), and "
-                f"it leaks into all lines; `remove: {{speed: {tone}, harmonics: 2}}` takes it out"
-            )
-            findings.append(Finding("steady-tone", message))
+            frequency *= self._source.sample_rate
+            findings.append(steady_tone(self.name, channel, frequency, amplitude))
         if slow:
             to = f" to about {max(slow.values()):.2g} s" if any(slow.values()) else ""
             message = f"the response {', '.join(sorted(slow))} has not died away at the end of the block; "

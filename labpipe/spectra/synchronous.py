@@ -196,6 +196,17 @@ class ToneSearch:
         return tones
 
 
+def steady_tone(name: str, channel: Channel, frequency: float, amplitude: float) -> Finding:
+    """The warning of a tone [Hz] in a *channel* of a recording by its *amplitude* [SI]."""
+    tone = f"{frequency:.4g} Hz"
+    message = (
+        f"{name}: response {channel.name} holds {tone} of {plain_text(amplitude, channel.unit, 3)} that no "
+        f"hit makes (a turning shaft, or hum), and it leaks into all lines; `remove: {{speed: {tone}, "
+        "harmonics: 2}` takes it out"
+    )
+    return Finding("steady-tone", message)
+
+
 def _harmonics(
     source: SampleSource, motion: ShaftMotion, n_harmonic: int, quiet: BoolArray | None
 ) -> ComplexArray:

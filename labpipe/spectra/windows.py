@@ -193,7 +193,7 @@ def kernel_of(blocks: Blocks) -> LeakageKernel | None:
         weights = np.linalg.solve(powers.T @ (left[:, None] * powers), powers.T * left)[0]
         return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
     offsets = np.arange(-MOST_LINES * POINTS, MOST_LINES * POINTS + 1)
-    if blocks.bursts:
+    if blocks.bursts or blocks.after_hit:
         weights = _weights_of_bursts(blocks, offsets)
         return LeakageKernel(blocks, offsets.astype(float), np.abs(weights), weights)
     window = window_values(blocks.window, SHAPE_SAMPLES)
@@ -210,9 +210,12 @@ def kernel_of(blocks: Blocks) -> LeakageKernel | None:
 def _weights_of_bursts(blocks: Blocks, offsets: IntArray) -> ComplexArray:
     """Of the mean over *offsets* (n_point,) [1 / POINTS line], (n_point,) [1]."""
     window = window_values(blocks.window, BURST_SAMPLES)
-    force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
-    seen = np.correlate(window, window * force, "full")[window.size - 1 :]
-    seen /= seen[0]
+    if blocks.after_hit:
+        seen = np.clip(window.size * blocks.after_hit - np.arange(window.size) + 0.5, 0.0, 1.0)
+    else:
+        force = np.array(blocks.bursts)[np.arange(window.size) * len(blocks.bursts) // window.size]
+        seen = np.correlate(window, window * force, "full")[window.size - 1 :]
+        seen /= seen[0]
     # Nothing responds before the force, so that the course at lags below 0 is free. Without a kink at 0 what
     # lies beyond these lines alternates, and fading out towards it takes it off.
     before = (2 - seen) * (0.5 + 0.5 * np.cos(np.pi * np.arange(seen.size) / seen.size))

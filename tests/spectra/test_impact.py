@@ -10,6 +10,7 @@ import pytest
 from scipy import signal
 
 from labpipe.errors import ConfigError, DataError
+from labpipe.estimation.leakage import leakage_of
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port
 from labpipe.spectra.damping import remove_window_damping, without_added_damping
@@ -195,6 +196,23 @@ def test_a_response_that_rings_on_is_said(rng: np.random.Generator) -> None:
     recording = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))
     response = measure([recording], FrfSettings(excitation="impact", block=BLOCK, band=(10.0, 500.0)))
     assert [finding.code for finding in response.findings] == ["not-died-away"]
+
+
+def test_what_blocks_cut_off_of_hits_is_known(rng: np.random.Generator) -> None:
+    """A tenth of the amplitude is left at the end: the mean of the exact FRF by the kernel of what follows a
+    hit is what was measured, where the FRF itself is a tenth off. Of blocks that hold all nothing is cut.
+    """
+    recording = hammered(rng, half_sine(LENGTH, STARTS, [1.0] * 5))
+    shown = measure([recording], FrfSettings(excitation="impact", block=BLOCK, band=(20.0, 150.0)))
+    leakage = leakage_of(shown.blocks, shown.frequency, np.empty(0), 0)
+    assert leakage is not None and shown.blocks is not None
+    assert shown.blocks.after_hit == pytest.approx(0.98, abs=0.005)
+    every = truth(leakage.grid[0] / (2 * np.pi))[:, None, None]
+    largest = np.max(np.abs(shown.matrix))
+    assert np.max(np.abs(truth(shown.frequency) - shown.matrix[:, 0, 0])) > 0.05 * largest
+    assert np.max(np.abs(leakage.average(every) - shown.matrix)) < 2e-3 * largest
+    long = FrfSettings(excitation="impact", block=5.5, band=(20.0, 150.0))
+    assert measure([recording], long).blocks is None
 
 
 @pytest.mark.parametrize(("pole", "rings"), [(-2 * np.pi * 4.0 + 2j * np.pi * 60.0, False), (POLE, True)])

@@ -242,7 +242,7 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
     sides = _sides(
-        measured_part(response, rows, columns, chosen),
+        measured_part(response, rows, columns, chosen, cuts_hits=False),
         response.form,
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
@@ -355,7 +355,7 @@ def _beyond(
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
     more = max(BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
-    measured = measured_part(response, rows, columns, lines)
+    measured = measured_part(response, rows, columns, lines, cuts_hits=False)
     return _turn(measured) if sides.forces_move else measured
 
 
