@@ -18,6 +18,7 @@ from labpipe.project.catalogue import ValueRow
 from labpipe.project.catalogue_search import Difference, trends
 from labpipe.records.finding import Parameter
 from labpipe.records.identification import Fit, Goodness, Identification, of_fit
+from labpipe.uncertainty.weighted import ControlLimits, adjust, trends_of
 
 FIT = Fit(
     "direct",
@@ -196,11 +197,17 @@ def test_a_series_rises_with_its_condition() -> None:
     assert (series.condition_unit, series.unit, series.fit) == ("N", "N/m", "direct 60-70 Hz")
 
 
+def limits_of(series: compared.ParameterSeries) -> ControlLimits | None:
+    (adjusted,) = adjust([series], trends_of([series]))
+    return adjusted.limits
+
+
 def test_a_straight_line_is_met_exactly() -> None:
     """5 + 0.01 per newton about the mean of 200 N."""
     (series,) = trends([row(5 + 0.01 * x, f"{x} N") for x in (100, 200, 300, 400)], "preload")
-    assert series.line is not None
-    level, slope = series.line.values
+    line = series.line_over("preload")
+    assert line is not None
+    level, slope = line.values
     assert level == pytest.approx(5 + 0.01 * 250) and slope == pytest.approx(0.01)
 
 
@@ -215,18 +222,20 @@ def test_dates_count_in_days_from_the_first() -> None:
 @pytest.mark.parametrize("number", [1, 2])
 def test_fewer_than_three_values_show_neither_line_nor_limits(number: int) -> None:
     (series,) = trends([row(float(n), f"{n} N") for n in range(1, number + 1)], "preload")
-    assert series.line is None and series.limits is None and series.outside == []
+    assert series.line_over("preload") is None and limits_of(series) is None
 
 
 def test_control_limits_by_hand() -> None:
-    """Moving ranges 1, 1, 1, 1 of 10 11 10 11 10: sigma = 1 / 1.1284, limits 10.4 -+ 2.6587."""
+    """Moving ranges 1, 1, 1, 1 of 10 11 10 11 10: sigma = 1 / 1.1284; 5 % over both sides of five values are
+    2.5758 of these (normal table at .995): limits 10.4 -+ 2.2827.
+    """
     (series,) = trends(
         [row(value, date=f"2026-11-0{day}") for day, value in enumerate((10.0, 11.0, 10.0, 11.0, 10.0), 1)],
         "date",
     )
-    assert series.limits is not None
-    assert (series.limits.low, series.limits.high) == pytest.approx((10.4 - 2.6587, 10.4 + 2.6587), abs=1e-4)
-    assert series.outside == []
+    limits = limits_of(series)
+    assert limits is not None and limits.outside == ()
+    assert (limits.low, limits.high) == pytest.approx((10.4 - 2.2827, 10.4 + 2.2827), abs=1e-4)
 
 
 def test_a_value_out_of_control_is_the_one_that_jumped() -> None:
@@ -234,7 +243,8 @@ def test_a_value_out_of_control_is_the_one_that_jumped() -> None:
         row(20.0, date="2026-11-21")
     ]
     (series,) = trends(found, "date")
-    assert [one.value for one in series.outside] == [20.0]
+    limits = limits_of(series)
+    assert limits is not None and [series.values[n] for n in limits.outside] == [20.0]
 
 
 def test_fits_terms_and_bands_are_series_of_their_own() -> None:
@@ -264,8 +274,9 @@ def test_a_recording_that_two_results_hold_counts_once() -> None:
     (once,), (series,) = trends(rows, "preload"), trends([*rows, *again], "preload")
     assert series.rows == once.rows and series.condition.tolist() == [100.0, 200.0, 400.0]
     assert [copy.path for copy in series.copies] == ["again/identification.json"] * 3
-    assert series.line is not None and once.line is not None
-    assert series.line.std_error(1) == once.line.std_error(1)
+    line, line_of_once = series.line_over("preload"), once.line_over("preload")
+    assert line is not None and line_of_once is not None
+    assert line.std_error(1) == line_of_once.std_error(1)
     others = [replace(one, digests=frozenset({"other"})) for one in again]
     (all_count,) = trends([*rows, *others], "preload")
     assert len(all_count.rows) == 6 and not all_count.copies
@@ -282,7 +293,7 @@ def test_a_missing_error_leaves_no_line() -> None:
         trends(rows, "preload"),
         trends([replace(rows[0], random_error=None), *rows[1:]], "preload"),
     )
-    assert whole.line is not None and series.line is None
+    assert whole.line_over("preload") is not None and series.line_over("preload") is None
 
 
 def test_what_cannot_be_a_trend_is_said() -> None:

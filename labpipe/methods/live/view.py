@@ -44,7 +44,9 @@ DRAWN = 4
 class LiveSettings(Settings):
     """What a test is to reach."""
 
-    until: tuple[str, ...] = names("goals, each on the width of an interval: k.expanded<=1%")
+    until: tuple[str, ...] = names(
+        "goals, each on the width of an interval: k.expanded<=1%", may_be_empty=True
+    )
     test: tuple[str, ...] = names("tests whose course is shown; default: all")
 
     def __post_init__(self) -> None:
