@@ -288,7 +288,7 @@ def _force_powers(source: SampleSource, length: float, most: int | None) -> Floa
     # A file's own blocks end where its parts do.
     rest = np.empty((0, sum(inputs)))
     for block in source.blocks(n_sample):
-        rest = np.concatenate([rest, block[:, inputs]])
+        rest = np.concatenate([rest, block[:, inputs]]) if len(rest) else block[:, inputs]
         if len(rest) >= n_sample:
             whole, rest, number = rest[:n_sample], rest[n_sample:], number + 1
             square = np.sum((whole - np.mean(whole, axis=0)) ** 2, axis=1)
