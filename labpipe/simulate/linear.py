@@ -21,16 +21,7 @@ from labpipe.raw_files.excitation import Multisine, Sweep
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import FrequencyResponse, Port, diagonal_covariance
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    choice,
-    integer,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate import virtual_rigs
 
 # A free decay is followed until this share of it is left.
@@ -327,7 +318,7 @@ class WhiteNoiseRig(Settings):
     force: float = quantity("rms force of the shaker", "N", 30.0)
     bandwidth: float = quantity("the force is white up to here", "Hz", 400.0)
     sample_rate: float = quantity("sampling rate", "Hz", 1024.0)
-    blocks: int = integer("blocks recorded one after the other", 100)
+    blocks: int = setting("integer", "blocks recorded one after the other", default=100)
     block: float = quantity("length of one block", "s", 5.0)
     speed: float = quantity("shaft speed", "Hz", 50.0)
     unbalance: float = quantity("mass times eccentricity", "kg.m", 5.5e-5)
@@ -405,7 +396,7 @@ class Lines(Settings):
 
     first: float = quantity("lowest frequency", "Hz")
     last: float = quantity("highest frequency", "Hz")
-    count: int = integer("number of lines")
+    count: int = setting("integer", "number of lines")
 
 
 @dataclass(frozen=True)

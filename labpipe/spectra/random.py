@@ -286,7 +286,7 @@ def _force_powers(source: SampleSource, length: float, most: int | None) -> Floa
     edges = np.linspace(0, n_sample, min(PARTS, n_sample) + 1).astype(int)
     power, number = np.zeros(edges.size - 1), 0
     # A file's own blocks end where its parts do.
-    rest = np.empty((0, sum(inputs)))
+    rest: FloatArray = np.empty((0, sum(inputs)))
     for block in source.blocks(n_sample):
         rest = np.concatenate([rest, block[:, inputs]]) if len(rest) else block[:, inputs]
         if len(rest) >= n_sample:

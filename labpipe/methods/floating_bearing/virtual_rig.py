@@ -22,17 +22,7 @@ from labpipe.methods.journal_bearing.kind import JournalSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel, Recording
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    choice,
-    flag,
-    integer,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, StandardDeviations, choice, integer, quantity, section, setting
 from labpipe.simulate.linear import TACHO, check_matrices, dynamic_stiffness, pulses
 from labpipe.simulate.virtual_rigs import Truth, coefficients_by_name, kind_of_recordings, whole_numbers
 
@@ -126,7 +116,7 @@ class FloatingRig(Settings):
         "sections", "conditions by name", section=FilmCondition, default=(), needed=True
     )
     _: KW_ONLY
-    name: str = text("name of the rig", "Virtual floating stator")
+    name: str = setting("text", "name of the rig", default="Virtual floating stator")
     journal: JournalSettings | None = section(
         "journal bearing between stator and shaft", JournalSettings, None
     )
@@ -153,7 +143,7 @@ class FloatingRig(Settings):
     )
     periods: int = integer("periods recorded, all of them steady", 8)
     sample_rate: float = quantity("sampling rate", "Hz", 2000.0)
-    drives: bool = flag("the drives of the shakers, u_x and u_y, are recorded too")
+    drives: bool = setting("flag", "the drives of the shakers, u_x and u_y, are recorded too", default=False)
     gain: float = quantity("force of a shaker over its drive", "N/V", 1000.0)
     probe_delay: float = quantity("delay of the relative probes", "s", 0.0)
     noise: FloatingNoise = section("measuring noise", FloatingNoise, FloatingNoise())

@@ -15,17 +15,7 @@ import numpy as np
 from labpipe.arrays import ComplexArray, FloatArray
 from labpipe.errors import SettingError
 from labpipe.methods.magnetic_bearing import sampled_loop
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    choice,
-    flag,
-    integer,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, StandardDeviations, choice, flag, quantity, section, setting
 from labpipe.simulate.linear import receptance
 
 KIND = "virtual-levitated-rig"
@@ -85,7 +75,9 @@ class SampledPid(Settings):
     integral: float = quantity("I, current per displacement and time", "A/(m.s)", 0.0)
     derivative_time: float = quantity("time constant T of the differentiator", "s", 2e-4)
     rate: float = quantity("sampling rate of the controller", "Hz", 10e3)
-    delay: int = integer("whole intervals from a reading to the output computed from it", 1)
+    delay: int = setting(
+        "integer", "whole intervals from a reading to the output computed from it", default=1
+    )
     mixing: tuple[tuple[float, ...], ...] | None = setting(
         "matrix", "X, from readings to axes of control (order of the axes)", "1", None
     )
@@ -103,7 +95,7 @@ class Injection(Settings):
     per_ampere: float = quantity("displacement added at the input for 1 A", "m/A", 1e-4)
     band: tuple[float, float] = setting("band", "excited frequencies", "Hz", (5.0, 500.0))
     spacing: float = quantity("spacing of the lines of a multisine", "Hz", 1.0)
-    periods: int = integer("periods of a multisine recorded, all of them steady", 20)
+    periods: int = setting("integer", "periods of a multisine recorded, all of them steady", default=20)
     duration: float = quantity("length of the other runs", "s", 20.0)
 
     def __post_init__(self) -> None:
@@ -129,7 +121,7 @@ class LevitatedRig(Settings):
     mass: float = quantity("mass of the rotor", "kg")
     control: SampledPid = section("the controller", SampledPid)
     _: KW_ONLY
-    name: str = text("name of the rig", "Virtual levitated rotor")
+    name: str = setting("text", "name of the rig", default="Virtual levitated rotor")
     axes: str = choice("directions", tuple(AXES), "x")
     rotor: LongRotor | None = section("rotor on two bearings; without it, a mass on one", LongRotor, None)
     force_per_current: float = quantity("k_i of one bearing", "N/A", 80.0)

@@ -12,18 +12,7 @@ from labpipe.methods.planning.designs import CRITERIA, MINIMAX
 from labpipe.methods.planning.model import FLOATING, axes_of_model, excitable_models, is_floating
 from labpipe.methods.rotor.rig import RotorRig
 from labpipe.records.rig import Rig
-from labpipe.records.settings import (
-    Settings,
-    Uncertainties,
-    choice,
-    flag,
-    integer,
-    names,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, Uncertainties, choice, names, quantity, section, setting, text
 from labpipe.registry import Registry
 
 # What else can be planned than the excitation of a model linear in its coefficients.
@@ -150,7 +139,9 @@ class PlanSettings(SignalSettings):
         "file", "identification.json whose values are expected where `expected` has none", default=""
     )
     fit: str = text("the fit of `earlier`; default: its only one")
-    combine_earlier: bool = flag("the earlier result counts: it and the new test are combined")
+    combine_earlier: bool = setting(
+        "flag", "the earlier result counts: it and the new test are combined", default=False
+    )
     theory: ExpectedTheorySettings | None = section(
         "bearing whose theory is expected where `expected` has no value; also expected: {bearing: FILE, ...}",
         ExpectedTheorySettings,
@@ -178,8 +169,10 @@ class PlanSettings(SignalSettings):
     speed: float | None = quantity(
         "speed of the shaft, whose 1x line and neighbours are left out", "Hz", None
     )
-    skip: int | None = integer(
-        "transient periods before the measured ones, in every test; default: until motion has died away", None
+    skip: int | None = setting(
+        "integer",
+        "transient periods before the measured ones, in every test; default: until motion has died away",
+        default=None,
     )
     uncertainties: Uncertainties = ()
     sensors: Rig | None = None

@@ -21,16 +21,7 @@ from labpipe.methods.rolling_bearing.settings import BallBearingSettings
 from labpipe.raw_files.excitation import design_multisine
 from labpipe.records.recording import Channel
 from labpipe.records.rig import AXIS_ANGLES
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    choice,
-    integer,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, StandardDeviations, choice, integer, quantity, section, setting
 from labpipe.simulate import virtual_rigs
 from labpipe.simulate.linear import line_frequencies, sense, steady_state
 
@@ -100,7 +91,7 @@ class VirtualBallBearingRig(Settings):
     kind: str = choice("which virtual rig", (KIND,))
     deep_groove: TestedBearing = section("first bearing: tested up and down and repeatedly", TestedBearing)
     angular: TestedBearing | None = section("second bearing: tested up", TestedBearing, None)
-    name: str = text("name of the rig", "Virtual ball-bearing rig")
+    name: str = setting("text", "name of the rig", default="Virtual ball-bearing rig")
     stiffness_ratio: float = quantity("true stiffness over the theory's", "1", 1.12)
     damping_factor: float = quantity("beta of the bearings' damping C = beta K", "s", 2e-5)
     hysteresis: float = quantity("stiffness gained on the way down, relative", "1", 0.0)

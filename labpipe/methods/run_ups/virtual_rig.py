@@ -19,17 +19,7 @@ from labpipe.methods.run_ups.joint import family_about
 from labpipe.methods.run_ups.records import RunUp, Shaker
 from labpipe.methods.run_ups.rotor import BOUND, RunUpRotor, as_eight, as_matrices
 from labpipe.methods.run_ups.run_up_csv import write_run_up_csv
-from labpipe.records.settings import (
-    Settings,
-    choice,
-    flag,
-    integer,
-    quantity,
-    section,
-    setting,
-    settings_of,
-    text,
-)
+from labpipe.records.settings import Settings, choice, flag, integer, quantity, section, setting, settings_of
 from labpipe.records.uncertain import Uncertain
 from labpipe.simulate import virtual_rigs
 
@@ -68,7 +58,7 @@ class VirtualUnbalanceRig(Settings):
     rotor: str = setting(
         "file", "rotor file with pins, relative to this file", file_kind="run-up-rotor", into="rig"
     )
-    name: str = text("name of the rig", "Virtual unbalance rig")
+    name: str = setting("text", "name of the rig", default="Virtual unbalance rig")
     truth: str = choice("how the bearing differs from the rotor file's", TRUTHS, "outside")
     viscosity_error: float = quantity("outside: true viscosity over the rotor file's, less one", "1", -0.15)
     clearance_error: float = quantity("outside: true clearance over the rotor file's, less one", "1", 0.05)

@@ -17,16 +17,7 @@ from labpipe.methods.journal_bearing.kind import Wear
 from labpipe.methods.rotor.response import ReducedRotor, reduced_rotor
 from labpipe.methods.rotor.rig import RotorRig, worn_place
 from labpipe.records.recording import Channel, Recording
-from labpipe.records.settings import (
-    Settings,
-    StandardDeviations,
-    choice,
-    integer,
-    quantity,
-    section,
-    setting,
-    text,
-)
+from labpipe.records.settings import Settings, StandardDeviations, choice, quantity, section, setting, text
 from labpipe.simulate.linear import shaken_rotor
 from labpipe.simulate.virtual_rigs import Truth, force_and_displacements, kind_of_recordings
 
@@ -62,8 +53,8 @@ class VirtualJournalRig(Settings):
     states: tuple[tuple[str, Wear], ...] = setting(
         "sections", "states of the worn bearing by name", section=Wear, default=HEALTHY
     )
-    cells_around: int = integer("cells of the oil film around the journal", 480)
-    cells_across: int = integer("cells of the oil film across the bearing", 60)
+    cells_around: int = setting("integer", "cells of the oil film around the journal", default=480)
+    cells_across: int = setting("integer", "cells of the oil film across the bearing", default=60)
     force: float = quantity("rms force of the shaker", "N", 30.0)
     bandwidth: float = quantity("the force is white up to here", "Hz", 120.0)
     lowest: float = quantity("and from here", "Hz", 0.0)
