@@ -388,11 +388,16 @@ def join(responses: Sequence[FrequencyResponse]) -> FrequencyResponse:
 
 
 def _joined_blocks(blocks: Sequence[Blocks | None]) -> Blocks | None:
-    """Those of all, of bursts with their mean course; None where they differ."""
-    first = blocks[0]
-    if first is None or len({of and replace(of, bursts=(0.0,) * len(of.bursts)) for of in blocks}) > 1:
+    """Those of all, of bursts with their mean course, of hits as where one rings on; None where they
+    differ.
+    """
+    known = [of for of in blocks if of is not None]
+    if not known or (len(known) < len(blocks) and not known[0].after_hit):
         return None
-    return replace(first, bursts=tuple(np.mean([of.bursts for of in blocks if of], axis=0).tolist()))
+    if len({replace(of, bursts=(0.0,) * len(of.bursts), after_hit=0.0) for of in known}) > 1:
+        return None
+    course = tuple(np.mean([of.bursts for of in known], axis=0).tolist())
+    return replace(known[0], bursts=course, after_hit=max(of.after_hit for of in known))
 
 
 # Rows (n, 1) and columns of a response in the joined matrix.

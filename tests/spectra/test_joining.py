@@ -60,6 +60,14 @@ def test_blocks_of_bursts_have_their_mean_course_and_others_none() -> None:
     assert join(parts).blocks is None and join(parts[2:]).blocks == bursts[2]
 
 
+def test_blocks_of_hits_are_those_of_a_point_that_rings_on() -> None:
+    """One of two points rings on where its block ends: nothing is cut off at the other that counts."""
+    rings = Blocks(1.0, "boxcar", 0.0, 1, "H1", after_hit=0.98)
+    parts = [part("a1", "f", 1.0, blocks=rings), part("a2", "f", 1.0)]
+    assert join(parts).blocks == rings == join(parts[::-1]).blocks
+    assert join(parts[1:]).blocks is None
+
+
 def test_errors_of_one_number_are_one_error_in_all_files() -> None:
     """The gain of the force is that of both files, the error of a sum in one of them that of its own
     element.
