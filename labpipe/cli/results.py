@@ -144,8 +144,8 @@ def trend(
         echo(f"written: {output}", err=True)
 
 
-def _echo_series(adjusted: weighted.Adjusted) -> None:
-    series: catalogue_search.ParameterSeries = adjusted.series
+def _echo_series(adjusted: weighted.Adjusted[catalogue_search.ParameterSeries]) -> None:
+    series = adjusted.series
     echo(f"{series.parameter} of {series.fit} over {series.over}")
     # Over conditions other than time, values are expected to differ.
     limits = adjusted.limits if series.over == DATE else None
@@ -192,7 +192,7 @@ def _slope(series: catalogue_search.ParameterSeries) -> str:
     return for_terminal(f"{stated}: {verdict}, {chance_text(p_value)}{scatter}")
 
 
-def _control(adjusted: weighted.Adjusted) -> str:
+def _control(adjusted: weighted.Adjusted[catalogue_search.ParameterSeries]) -> str:
     series, limits = adjusted.series, adjusted.limits
     if limits is None:
         return "fewer than three values give no control limits"

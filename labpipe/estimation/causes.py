@@ -279,7 +279,8 @@ class DelayedModel:
         return np.where(self.late, np.exp(-1j * omega[:, None, None] * delay), 1.0)
 
 
-# The chi-square that a delay leaves, its channel and the finding; what tells two apart.
+# The chi-square that a delay leaves, its channel and the finding; the difference of two chi-squares, a ratio
+# of likelihoods of 150, from which one is the better.
 Delay = tuple[float, str, Finding]
 APART = 10.0
 

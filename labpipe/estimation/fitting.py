@@ -523,7 +523,7 @@ def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw
     has_error = settings.kind.of_base or mass_uncertainty(settings) is not None
     if has_error or not (settings.estimates.phase and estimate.converged and isinstance(model, DynamicModel)):
         return {}
-    delay = _likeliest_delay(case, model) if is_rejected else None
+    delay = _delay_by_either_damping(case, model) if is_rejected else None
     of_law = laws[0].aic - 2 * (estimate.values.size + 1) if laws else np.inf
     if delay is not None and delay[0] < of_law + comparison.NO_SUPPORT:
         left, channel, finding = delay
@@ -535,7 +535,7 @@ def _find_faults(case: Case, judged: _Judged, laws: Sequence[comparison.OtherLaw
     return {"": masses[0]} if masses else {}
 
 
-def _likeliest_delay(case: Case, model: DynamicModel) -> causes.Delay | None:
+def _delay_by_either_damping(case: Case, model: DynamicModel) -> causes.Delay | None:
     delay, setup = causes.likeliest_delay(case.measured, model, case.estimate.values), case.setup
     with contextlib.suppress(ConfigError, FitError, np.linalg.LinAlgError):
         if delay is not None and setup.settings.kind.one_frf:

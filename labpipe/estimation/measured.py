@@ -139,11 +139,10 @@ def measured_part(
     columns: list[int],
     lines: BoolArray,
     view: FormView | None = None,
-    cuts_hits: bool = True,
 ) -> Measured:
     """The chosen part as receptance; *lines*: mask (n_frequency,) [-]; *view* of the form, its own by
-    default; *cuts_hits*: what blocks of hits cut off is leakage (modal fits have terms for it). FitError when
-    it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation (est-shared).
+    default. FitError when it is empty, constant zero, or at 0 Hz for a mobility or accelerance. Equation
+    (est-shared).
     """
     frequency = response.frequency[lines]
     if not frequency.size:
@@ -179,8 +178,6 @@ def measured_part(
     if response.line_gains is not None:
         gains = choose(response.line_gains).reshape(numbers.size, -1, len(elements))
     blocks = response.blocks and response.blocks.select_forces(columns)
-    if blocks and blocks.after_hit and not cuts_hits:
-        blocks = None
     line_noise = SharedNoise(numbers, correlation, gains) if correlation.size else None
     return Measured(
         omega=2 * np.pi * frequency,

@@ -24,7 +24,6 @@ from labpipe.report.figures import CENTRE, sliding_curve, sliding_units
 from labpipe.report.wording import round_to_error, unit_text
 from labpipe.uncertainty import weighted
 from labpipe.uncertainty.amounts import count_once, holm, sources_in_common
-from labpipe.uncertainty.weighted import Adjusted, Trend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +111,10 @@ class CoefficientSeries(weighted.SeriesOfTests):
         return {name: amounts for name, (_, amounts) in self.over().items()}
 
 
+SeriesTrend = weighted.Trend[CoefficientSeries]
+AdjustedSeries = weighted.Adjusted[CoefficientSeries]
+
+
 def coefficient_series(results: Sequence[tuple[str, Identification]]) -> list[CoefficientSeries]:
     """Every parameter that two results or more have, but for those of sliding fits."""
     groups: dict[tuple[str, str], list[Value]] = {}
@@ -193,7 +196,7 @@ def _line(series: CoefficientSeries, condition: str) -> tuple[tuple[Series, ...]
     return (curve("trend", drawn, middle, 1, band=(middle - reach, middle + reach)),), law
 
 
-def control_figure(of: Adjusted, limits: weighted.ControlLimits) -> Figure:
+def control_figure(of: AdjustedSeries, limits: weighted.ControlLimits) -> Figure:
     """The values in their order with centre and limits; those outside are ringed."""
     series, values = of.series, of.values
     places, outside = np.arange(1, values.size + 1), list(limits.outside)
@@ -289,7 +292,11 @@ def campaign_document(results: Sequence[tuple[str, Identification]]) -> Document
     return Document(f"Campaign: {title}", subtitle, sections, cover_facts(identifications))
 
 
-def _outside(of: Adjusted) -> list[str]:
+def _name(trend: SeriesTrend) -> str:
+    return f"{trend.series.title} over {trend.condition}"
+
+
+def _outside(of: AdjustedSeries) -> list[str]:
     return [of.series.tests[place].label for place in of.limits.outside] if of.limits else []
 
 
@@ -297,7 +304,7 @@ def _outside(of: Adjusted) -> list[str]:
 Apart = tuple[FloatArray, FloatArray]
 
 
-def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
+def _find_apart(series: Sequence[AdjustedSeries]) -> list[Apart]:
     """Of every series, NaN where its values have no errors. All are corrected together."""
     each = [_from_the_rest(of) for of in series]
     corrected = [p for _, p in each]
@@ -311,7 +318,7 @@ def _find_apart(series: Sequence[Adjusted]) -> list[Apart]:
     return [(difference, p) for (difference, _), p in zip(each, corrected, strict=True)]
 
 
-def _from_the_rest(of: Adjusted) -> Apart:
+def _from_the_rest(of: AdjustedSeries) -> Apart:
     errors, changes, dofs = of.series.parted_errors
     try:
         return weighted.from_the_rest(of.series.values, errors, changes, dofs, of.columns)
@@ -321,12 +328,12 @@ def _from_the_rest(of: Adjusted) -> Apart:
 
 
 def _verdict(
-    series: Sequence[Adjusted], trends: Sequence[Trend], differences: Sequence[Apart]
+    series: Sequence[AdjustedSeries], trends: Sequence[SeriesTrend], differences: Sequence[Apart]
 ) -> tuple[Block, ...]:
     charted = [of for of in series if of.limits is not None]
     labels = [(of.series.title + of.without, _outside(of)) for of in charted]
     outside = [f"{title} ({few(tests, MOST_NAMED, '; ')})" for title, tests in labels if tests]
-    steep = [trend.name for trend in trends if trend.is_sure]
+    steep = [_name(trend) for trend in trends if trend.is_sure]
     n_apart = sum(int(np.sum(p < weighted.LEVEL)) for _, p in differences)
     n = len(charted)
     if outside:
@@ -343,7 +350,7 @@ def _verdict(
         blocks.append(Paragraph(sentence, "warning" if steep else "note"))
         # Conditions that are fitted together have one curvature.
         bent = {(of.series.title, of.line.curved): of for of in reversed(trends) if of.line.curved}
-        blocks += [Paragraph(f"{of.name}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
+        blocks += [Paragraph(f"{_name(of)}: {of.line.curved}.", "warning") for of in reversed(bent.values())]
     if series:
         values = sum(of.values.size for of in series)
         sentence = f"{n_apart} of {values} values differ from the others beyond the stated errors."
@@ -369,7 +376,7 @@ def _results(results: Sequence[tuple[str, Identification]]) -> Table:
     return Table(header, tuple(rows), "Results read together", (2, 3))
 
 
-def _trend_table(trends: Sequence[Trend]) -> Table:
+def _trend_table(trends: Sequence[SeriesTrend]) -> Table:
     rows = []
     for trend in trends:
         line, (slope, error, quantile) = trend.line, trend.line.state(1)
@@ -389,14 +396,14 @@ def _trend_table(trends: Sequence[Trend]) -> Table:
     return Table(TREND_HEADER, tuple(rows), "Straight trends over the conditions", (2, 4, 5, 6))
 
 
-def _slope_unit(trend: Trend) -> str:
+def _slope_unit(trend: SeriesTrend) -> str:
     below = trend.series.over()[trend.condition][0].unit
     if not below:
         return unit_text(trend.series.tests[0].parameter.unit)
     return f"{trend.series.unit} per {below}" if "/" in trend.series.unit else f"{trend.series.unit}/{below}"
 
 
-def _blocks(of: Adjusted, apart: Apart) -> tuple[Block, ...]:
+def _blocks(of: AdjustedSeries, apart: Apart) -> tuple[Block, ...]:
     coefficient = of.series
     bands = dict.fromkeys(
         f"{low:g}-{high:g} Hz" for low, high in (value.band_hz for value in coefficient.tests)

@@ -154,9 +154,8 @@ def find_overloaded(samples: FloatArray) -> BoolArray:
     clipped = np.zeros(samples.shape[1], bool)
     for end in (samples.max(axis=0), samples.min(axis=0)):
         at_end = (samples == end) & (np.abs(end) > peak / 2)
-        clipped |= (
-            np.lib.stride_tricks.sliding_window_view(at_end, CLIPPED_RUN, axis=0).all(axis=2).any(axis=0)
-        )
+        run = np.lib.stride_tricks.sliding_window_view(at_end, CLIPPED_RUN, axis=0).all(axis=2)
+        clipped |= run.any(axis=0)
     return clipped
 
 
@@ -465,7 +464,7 @@ class _HitAverage:
         samples[:, self.force] *= window
         if self._settings.impact.decay is not None:
             samples *= self._exponential[:, None]
-        self._note_slow(samples, hit)
+        self._note_end(samples, hit)
         spectrum = scipy.fft.rfft(samples, axis=0)
         self._tones.add(hit.samples[:, self._outputs], spectrum[:, self.force])
         amplitude = spectrum[self._lines]
@@ -481,8 +480,10 @@ class _HitAverage:
         """|N|^2 and |F + N|^2 (n_line,) [N^2 s^2 per spacing^2] of the force and its noise, over all hits."""
         return noise_around(self._noise, self.n_hit), self._sum[:, self.force, self.force].real
 
-    def _note_slow(self, samples: FloatArray, hit: Hit) -> None:
-        """Keep the responses of which more than the noise before the first *hit* is left at the end."""
+    def _note_end(self, samples: FloatArray, hit: Hit) -> None:
+        """Keep what is left of the responses at the end, and those of which it is more than the noise before
+        the first *hit*.
+        """
         tenths = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in np.array_split(samples, 10)])
         largest, number = tenths.max(axis=0) + np.sqrt(np.finfo(float).tiny), tenths.argmax(axis=0)
         length = samples.shape[0] / self._source.sample_rate

@@ -249,7 +249,7 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
     def response_of(s: ComplexArray) -> ComplexArray:
         return estimate(s[:, :n_input, :n_input], s[:, n_input:, :n_input], s[:, n_input:, n_input:])
 
-    blocks = with_bursts(blocks, sources)
+    blocks = with_bursts(blocks, spectra, sources)
     # Of the places that blocks have in a burst where they overlap, no half has its even share.
     if not (blocks.bursts and blocks.overlap):
         parts = replace(parts, change=change_of_random(halved, layout, chosen, response_of, n_input + 1))
@@ -261,8 +261,10 @@ def random_parts(sources: Sequence[SampleSource], settings: FrfSettings, layout:
 PARTS, AT_REST, LEAST_REST, FIRST = 256, 0.01, 0.03, 8
 
 
-def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
-    """The *blocks*, with the course of forces that rest in the same part of each."""
+def with_bursts(blocks: Blocks, spectra: Sequence[CrossSpectra], sources: Sequence[SampleSource]) -> Blocks:
+    """The *blocks* of the *spectra* of *sources*, with the course of forces that rest in the same part of
+    each.
+    """
     for most in (FIRST, None):
         force = np.sum([_force_powers(source, blocks.length, most) for source in sources], axis=0)
         rests = force < AT_REST * np.mean(force)
@@ -271,12 +273,10 @@ def with_bursts(blocks: Blocks, sources: Sequence[SampleSource]) -> Blocks:
             return blocks
     # The mean that is taken off a block is no force. Blocks that overlap begin elsewhere in a burst.
     force[rests] = 0.0
-    step = 1 - blocks.overlap
-    starts = np.arange(0, 1, step)
-    lengths = [source.n_sample / source.sample_rate / blocks.length for source in sources]
-    number = np.concatenate([np.arange(int((length - 1) / step + 1e-9) + 1) for length in lengths])
-    share = np.bincount(number % starts.size, minlength=starts.size) / number.size
-    course = share @ [np.roll(force, -round(start * force.size)) for start in starts.tolist()]
+    starts = np.arange(0, force.size, force.size * (1 - blocks.overlap))
+    numbers = np.concatenate([np.arange(spectrum.n_block) for spectrum in spectra])
+    n_block = np.bincount(numbers % starts.size, minlength=starts.size)
+    course = n_block @ [np.roll(force, -round(start)) for start in starts.tolist()]
     return replace(blocks, bursts=tuple((course / np.mean(course)).tolist()))
 
 

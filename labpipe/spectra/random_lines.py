@@ -166,7 +166,7 @@ def random_lines(
         runs=drives,
         dof=dof,
         line_correlation=tuple(complex(value) for value in spectra[0].line_correlation),
-        blocks=with_bursts(blocks_of(spectra, settings, "H1"), sources),
+        blocks=with_bursts(blocks_of(spectra, settings, "H1"), spectra, sources),
         findings=(*findings, *_unexplained_findings(s_zz, left, layout), *fed_back),
         weak=weak,
     )

@@ -178,7 +178,7 @@ class LeakageKernel:
 
 @functools.cache
 def kernel_of(blocks: Blocks) -> LeakageKernel | None:
-    """The spectrum of the window of blocks, what they hold of bursts, or what local polynomials make of FRFs;
+    """The spectrum of the window of blocks, what they hold of bursts and hits, or of local polynomials;
     None beyond H1, ConfigError for an unknown window. Equations (frf-leakage-kernel), (frf-leakage-bursts),
     (frf-local-kernel).
     """
@@ -194,8 +194,8 @@ def kernel_of(blocks: Blocks) -> LeakageKernel | None:
         return LeakageKernel(blocks, POINTS * lines.astype(float), np.sqrt(np.abs(weights)), weights)
     offsets = np.arange(-MOST_LINES * POINTS, MOST_LINES * POINTS + 1)
     if blocks.bursts or blocks.after_hit:
-        weights = _weights_of_bursts(blocks, offsets)
-        return LeakageKernel(blocks, offsets.astype(float), np.abs(weights), weights)
+        weights = _weights_of_lags(blocks, offsets)
+        return LeakageKernel(blocks, offsets.astype(float), np.sqrt(np.abs(weights)), weights)
     window = window_values(blocks.window, SHAPE_SAMPLES)
     # About the middle of the block the transform of a symmetric window is real.
     place = np.arange(SHAPE_SAMPLES) - SHAPE_SAMPLES / 2
@@ -207,8 +207,10 @@ def kernel_of(blocks: Blocks) -> LeakageKernel | None:
     return LeakageKernel(blocks, offsets[inside].astype(float), amplitude, amplitude**2)
 
 
-def _weights_of_bursts(blocks: Blocks, offsets: IntArray) -> ComplexArray:
-    """Of the mean over *offsets* (n_point,) [1 / POINTS line], (n_point,) [1]."""
+def _weights_of_lags(blocks: Blocks, offsets: IntArray) -> ComplexArray:
+    """Weights (n_point,) [1] of H at *offsets* (n_point,) [1 / POINTS line] by what blocks of bursts or hits
+    hold of a response at each lag behind its force.
+    """
     window = window_values(blocks.window, BURST_SAMPLES)
     if blocks.after_hit:
         seen = np.clip(window.size * blocks.after_hit - np.arange(window.size) + 0.5, 0.0, 1.0)

@@ -5,9 +5,10 @@ outliers.
 from __future__ import annotations
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import scipy
@@ -38,7 +39,7 @@ class WeightedFit:
     Where values scatter more than by their errors in the mean (chi2 above dof), single ones have a *spread*
     besides, a variance [unit^2 of the values], and intervals are Student's. Equation (comp-spread). *moved*
     (n_parameter, n_source): changes by errors in common, which no scatter shows, with *moved_dof* (n_source,)
-    degrees of freedom, known by default. *known*: what the errors alone make of *covariance*. *behind*:
+    degrees of freedom, known by default. *by_errors*: what the errors alone make of *covariance*. *behind*:
     degrees of freedom of errors that were estimated from scatter themselves. *curved*: what a straight trend
     does not hold, as of `curvature_text`.
     """
@@ -50,7 +51,7 @@ class WeightedFit:
     p_value: float | None
     spread: float
     moved: FloatArray
-    known: FloatArray
+    by_errors: FloatArray
     behind: float = np.inf
     moved_dof: FloatArray | float = np.inf
     curved: str = ""
@@ -71,7 +72,7 @@ class WeightedFit:
         as_stated = self.dof == 1 and self.spread > 0 and not self.inflated
         by_source = (direction @ self.moved) ** 2
         variance, known_variance = (
-            direction @ matrix @ direction for matrix in (self.covariance, self.known)
+            direction @ matrix @ direction for matrix in (self.covariance, self.by_errors)
         )
         estimated = max(variance - (known_variance if as_stated else np.sum(by_source)), 1e-12 * variance)
         terms = estimated**2 / self.effective_dof + np.sum(by_source**2 / self.moved_dof)
@@ -129,7 +130,7 @@ def weighted_fit(
         hint = "a trend needs at least two different values"
         raise FitError("the tests do not differ in the condition", hint=hint)
     inverse, chi2, weights = _solve(columns, values, errors, changes)
-    dof, known = values.size - columns.shape[1], inverse
+    dof, by_errors = values.size - columns.shape[1], inverse
     p_value = distributions.chi2_tail(chi2, dof) if dof else None
     spread = 0.0
     if chi2 > dof > 0:
@@ -145,7 +146,9 @@ def weighted_fit(
         share = scipy.optimize.brentq(lambda share: solve_with(share)[1] - dof, 0.0, 1.0)
         spread, (inverse, _, weights) = share * largest, solve_with(share)
     moved = weights @ changes.T
-    return WeightedFit(weights @ values, inverse, chi2, dof, p_value, spread, moved, known, moved_dof=dofs)
+    return WeightedFit(
+        weights @ values, inverse, chi2, dof, p_value, spread, moved, by_errors, moved_dof=dofs
+    )
 
 
 def _solve(
@@ -256,6 +259,7 @@ def components(values: FloatArray, groups: NDArray[np.str_]) -> Components:
 D2 = 2 / np.sqrt(np.pi)
 # Chance of any false alarm among all trends, and among all charts, of one report.
 LEVEL = 0.05
+# Fewest values that show a line or limits.
 FEWEST = 3
 # Number of values above which the limits themselves are accurate.
 SETTLED = 12
@@ -432,32 +436,32 @@ def from_the_rest(
         with_mean = float(weights @ joint[others, n])
         variance = joint[n, n] - 2 * with_mean + others_mean.spread
         variance = np.atleast_2d(variance + columns[n] @ others_mean.covariance @ columns[n])
-        known = np.atleast_2d(columns[n] @ others_mean.known @ columns[n])
+        by_errors = np.atleast_2d(columns[n] @ others_mean.by_errors @ columns[n])
         apart = values[[n]] - columns[n] @ others_mean.values
         by_sources = (changes[:, n] - changes[:, others] @ weights)[None]
-        difference = replace(others_mean, values=apart, covariance=variance, known=known)
+        difference = replace(others_mean, values=apart, covariance=variance, by_errors=by_errors)
         difference = replace(difference, moved=by_sources, moved_dof=dofs)
         differences[n], chances[n] = difference.values[0], difference.p_of(0)
     return differences, chances
 
 
-class SeriesOfTests:
+class SeriesOfTests(ABC):
     """Values of one coefficient in several tests, in order of time where they have one."""
 
     @property
+    @abstractmethod
     def values(self) -> FloatArray:
         """Values (n,) [any unit]."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def parted_errors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Standard errors (n,) [unit of the values] of each test alone, and sources as of `weighted_fit`."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def amounts(self) -> Mapping[str, FloatArray]:
         """Amounts (n,) [any unit] by condition."""
-        raise NotImplementedError
 
     def joint_conditions(self, condition: str) -> tuple[tuple[str, ...], FloatArray]:
         """Names, and amounts (n_condition, n) [any unit], of a condition and all others that tests tell
@@ -477,40 +481,39 @@ class SeriesOfTests:
             return None
 
 
+Series = TypeVar("Series", bound=SeriesOfTests)
+
+
 @dataclass(frozen=True)
-class Trend:
+class Trend(Generic[Series]):
     """The straight *line* of a series over a condition; p-value among all trends of a report after Holm."""
 
-    series: Any
+    series: Series
     condition: str
     line: WeightedFit
     p_value: float
-
-    @property
-    def name(self) -> str:
-        return f"{self.series.title} over {self.condition}"
 
     @property
     def is_sure(self) -> bool:
         return self.p_value < LEVEL
 
 
-def trends_of(series: Sequence[SeriesOfTests]) -> list[Trend]:
+def trends_of(series: Sequence[Series]) -> list[Trend[Series]]:
     """Every trend of all series over each of their conditions."""
-    found = [
+    lines = [
         (of, name, line) for of in series for name in of.amounts if (line := of.line_over(name)) is not None
     ]
-    corrected = holm(np.array([line.p_of(1) for *_, line in found])).tolist()
-    return [Trend(*trend, p) for trend, p in zip(found, corrected, strict=True)]
+    corrected = holm(np.array([line.p_of(1) for *_, line in lines])).tolist()
+    return [Trend(*line, p) for line, p in zip(lines, corrected, strict=True)]
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class Adjusted(Generic[Series]):
     """A *series* without its trends beyond chance over *conditions* other than the date: *columns* (n,
     n_parameter) of these, *values* (n,) [unit of the series] at the mean conditions; limits of three or more.
     """
 
-    series: Any
+    series: Series
     conditions: tuple[str, ...]
     columns: FloatArray
     values: FloatArray
@@ -521,18 +524,18 @@ class Adjusted:
         return f", less its trend over {' and '.join(self.conditions)}" if self.conditions else ""
 
 
-def adjust(series: Sequence[SeriesOfTests], trends: Sequence[Trend]) -> list[Adjusted]:
+def adjust(series: Sequence[Series], trends: Sequence[Trend[Series]]) -> list[Adjusted[Series]]:
     """All series of a report, less those of its *trends* that are sure."""
     n_value = sum(n for of in series if (n := of.values.size) >= FEWEST)
     each = []
     for of in series:
-        made = _adjust_one(of, [trend for trend in trends if trend.series is of and trend.is_sure])
-        limits = control_limits(made.values, n_value) if made.values.size >= FEWEST else None
-        each.append(replace(made, limits=limits))
+        adjusted = _adjust_one(of, [trend for trend in trends if trend.series is of and trend.is_sure])
+        limits = control_limits(adjusted.values, n_value) if of.values.size >= FEWEST else None
+        each.append(replace(adjusted, limits=limits))
     return each
 
 
-def _adjust_one(series: SeriesOfTests, steep: Sequence[Trend]) -> Adjusted:
+def _adjust_one(series: Series, steep: Sequence[Trend[Series]]) -> Adjusted[Series]:
     """Of curved values with squares and products of the conditions, as far as these are determined."""
     values, trends = series.values, [of for of in steep if of.condition != DATE]
     if not trends:

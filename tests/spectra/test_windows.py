@@ -17,6 +17,7 @@ from labpipe.records.recording import Channel, Recording
 from labpipe.records.response import Blocks
 from labpipe.spectra.local import local_polynomials
 from labpipe.spectra.random import with_bursts
+from labpipe.spectra.welch import CrossSpectra
 from labpipe.spectra.windows import (
     POINTS,
     amplitude_correlation,
@@ -108,8 +109,13 @@ def test_bursts_are_seen_however_a_file_is_read() -> None:
     rests = np.arange(1000) >= 400
     force = np.random.default_rng(5).normal(size=(11, 1000)) * ~rests
     source = InPieces((Channel("f", "force", "input", "x"),), force.reshape(-1, 1), 1000.0, "text")
-    found = with_bursts(Blocks(1.0, "boxcar", 0.0, 11, "H1"), [source]).bursts
-    assert [power > 0 for power in found] == [part < 103 for part in range(256)]
+    spectra = [CrossSpectra(np.arange(2.0), np.zeros((1, 1, 2)), 11, 11.0)]
+    course = with_bursts(Blocks(1.0, "boxcar", 0.0, 11, "H1"), spectra, [source]).bursts
+    assert [power > 0 for power in course] == [part < 103 for part in range(256)]
+    # Of 21 blocks that overlap by half, 11 begin with a burst and 10 half a period after it.
+    spectra[0] = replace(spectra[0], n_block=21)
+    course = with_bursts(Blocks(1.0, "hann", 0.5, 21, "H1"), spectra, [source]).bursts
+    assert sum(course[:103]) / sum(course[128:231]) == pytest.approx(11 / 10)
 
 
 @pytest.mark.parametrize(("degree", "half_width"), [(2, 5), (3, 6), (4, 8)])

@@ -288,7 +288,7 @@ class OtherMark:
     turned: float = 0.0
     weights: bool = False
 
-    def of(self, run: BalanceRun) -> BalanceRun:
+    def apply(self, run: BalanceRun) -> BalanceRun:
         turn = np.exp(1j * self.turned)
         readings = turn * (run.readings.conj() if self.mirrored else run.readings)
         return replace(run, readings=readings, weights=run.weights * (turn if self.weights else 1.0))
@@ -299,8 +299,8 @@ class Balanced:
     """*knowledge* of the influence, *weights* (n_plane,) [kg m], of planes with a radius *masses* by angle
     [rad, kg], the *residual*, and what is expected after each of *next_runs* [unit of the readings].
     *widened*: factor on all errors, since the readings scatter more than was stated. intervals: of the
-    weights that would leave nothing, none where readings are fewer than planes. *mark*: by which
-    the readings agree where they do not as given.
+    weights that would leave nothing, none where readings are fewer than planes. *mark*: how
+    their angles count where they agree otherwise than as given.
     """
 
     file: BalanceFile
@@ -353,7 +353,7 @@ def _other_mark(file: BalanceFile) -> OtherMark:
     """How angles count where the readings agree with weights, and a model, which has a mark of its own."""
 
     def misfit(turned: FloatArray, mark: OtherMark) -> float:
-        runs = [replace(mark, turned=turned.item()).of(run) for run in file.runs]
+        runs = [replace(mark, turned=turned.item()).apply(run) for run in file.runs]
         return influence(runs, file.noise, file.prior).misfit
 
     dof = influence(file.runs, file.noise, file.prior).dof
@@ -361,6 +361,7 @@ def _other_mark(file: BalanceFile) -> OtherMark:
         return OtherMark(True)
     for mirrored, weights in itertools.product((False, True), repeat=2) if file.prior else ():
         mark = OtherMark(mirrored, weights=weights)
+        # Every 10 degrees, then down from the best.
         angle, least, *_ = brute(misfit, ((0, 2 * np.pi),), (mark,), Ns=37, full_output=True)
         if chi2_tail(float(least), dof - 1) >= UNLIKELY:
             return replace(mark, turned=float(np.mod(angle[0], 2 * np.pi)))

@@ -284,8 +284,8 @@ class Session:
             if fit not in followed
         ]
         self._rate = rate
-        further_files = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
-        self.bench = (WholeFits if whole else Bench)(channels, rate, frf, further_files, self.goals)
+        observed = [fit for fit in fits if fit in whole or fit.name in wanted] if whole else followed
+        self.bench = (WholeFits if whole else Bench)(channels, rate, frf, observed, self.goals)
         return True
 
     def _fits_with_goals(

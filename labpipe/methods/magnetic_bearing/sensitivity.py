@@ -191,7 +191,7 @@ def leakage_findings(measured: MeasuredSensitivity, peak: Peak) -> list[Finding]
     mean over the window's spectrum is lower by up to (1.44 / W)^2 of a peak W lines wide (half power).
     """
     blocks = measured.response.blocks
-    if blocks is None or blocks.degree or peak.at_edge:
+    if blocks is None or blocks.degree or blocks.after_hit or peak.at_edge:
         return []
     try:
         around = half_power(measured.frequency, measured.values, (0.9 * peak.frequency, 1.1 * peak.frequency))

@@ -235,14 +235,15 @@ def modal_fit(response: FrequencyResponse, settings: FitSettings) -> Fit:
         raise SettingError("mass", "a modal fit takes one mass, above zero", "for example mass: 0.92 kg")
     modal: ModalSettings = settings.model_settings
     form = response.form
-    if form not in DERIVATIVES:
-        # Poles and shapes need no unit of force; what powers of s the form holds are residual terms.
-        response = replace(response, form=RECEPTANCE)
+    # Poles and shapes need no unit of force; what powers of s the form holds are residual terms, as is what
+    # blocks of hits cut off.
+    blocks = None if response.blocks and response.blocks.after_hit else response.blocks
+    response = replace(response, form=form if form in DERIVATIVES else RECEPTANCE, blocks=blocks)
     rows, columns = select_ports(response, settings.input, settings.output)
     band = settings.band or (float(response.frequency[0]), float(response.frequency[-1]))
     chosen = lines_in(response.frequency, band) & (response.frequency > 0)
     sides = _sides(
-        measured_part(response, rows, columns, chosen, cuts_hits=False),
+        measured_part(response, rows, columns, chosen),
         response.form,
         hysteretic=_is_hysteretic(settings, modal),
         by_force=form in DERIVATIVES,
@@ -355,7 +356,7 @@ def _beyond(
     widths = np.clip(-2 * refined.poles.real / (2 * np.pi), 0.0, whole)
     more = max(BEYOND * whole, 2 * float(np.max(widths[3 * widths > whole], initial=0.0)))
     lines = lines_in(response.frequency, (band[0] - more, band[1] + more)) & (response.frequency > 0)
-    measured = measured_part(response, rows, columns, lines, cuts_hits=False)
+    measured = measured_part(response, rows, columns, lines)
     return _turn(measured) if sides.forces_move else measured
 
 

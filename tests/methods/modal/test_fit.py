@@ -372,6 +372,8 @@ def test_bursts_leak_what_their_course_and_window_cut_off(share: float, window: 
     assert all(within(fit, f"f_n_{place}", f) for place, f in ((1, 38.0), (2, 71.0)))
     assert all(within(fit, f"zeta_{place}", ratio) for place in (1, 2))
     assert measured.blocks is not None and bool(measured.blocks.bursts) == (share < 1)
+    # Halves of blocks that overlap hold other shares of a burst, which is no drift.
+    assert (measured.change is None) == (window == "hann")
 
 
 @pytest.mark.parametrize("named", [(), (162.0,)])
